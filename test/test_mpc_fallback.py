@@ -301,7 +301,7 @@ def test_a_shrinking_horizon_arrives_and_then_stops():
     after = controller.tick(measured(vehicle), np.zeros((0, 2)))
     assert after.command.speed_fraction == 0.0
     assert 'run out' in after.reason
-    controller.reset()
+    controller.start_afresh(wind=True)
     assert len(controller.ends(0.0)) == 6
 
 
@@ -339,7 +339,7 @@ def test_a_shrinking_horizon_ends_when_it_ended_before(period):
 def test_a_goal_out_of_reach_is_not_flown_at_softly(begun, told):
     controller = arriving()
     if not begun:
-        controller.reset()
+        controller.start_afresh(wind=True)
     far = np.tile([30.0, 0.0], (6 - begun, 1))
     tick = controller.tick(odometry((1.0 * begun, 0.0), time=1.0 * begun), far)
     assert (tick.status, tick.fallback) == ('infeasible', 'safe command')

@@ -85,7 +85,9 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
     lasting = [_clear_steps(task, each) for each in found]
     best = [each for each, n in zip(found, lasting, strict=True) if n == max(lasting)]
     rooms = [_room(task, each, problem.horizon) for each in best]
-    unit, ends = SAME * problem.maps.unit, [_end(task, each) for each in best]
+    unit, over = SAME * problem.maps.unit, np.array([problem.step * problem.horizon])
+    depths = [[h.depth(each.positions[-1:], over)[0] for h in task.state.hazards] for each in best]
+    ends = [-max(deep) for deep in depths]
     chosen = max(range(len(best)), key=lambda i: (round(rooms[i] / unit), ends[i]))
     return best[chosen], rooms[chosen]
 
@@ -113,12 +115,6 @@ def _clear_steps(task: Task, plan: Plan) -> int:
 def _suffices(problem: Problem, room: float) -> bool:
     """Return True if a distance from hazards [m] counts as clear."""
     return room >= -TOUCHING * problem.maps.unit
-
-
-def _end(task: Task, plan: Plan) -> float:
-    """Return the distance of the end of a plan from hazards [m]."""
-    over, place = np.array([task.problem.step * plan.horizon]), plan.positions[-1:]
-    return min(-float(each.depth(place, over)[0]) for each in task.state.hazards)
 
 
 def _ways(task: Task, proof: Proof) -> Iterator[Plan]:

@@ -1,36 +1,22 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Interception: the earliest step at which a plan can catch the goal, with a proof of none before.
 
-Tracking a goal on average does not guarantee a catch. For each step k at which the goal is within
-reach, a problem of k steps minimises the miss (7.10a); the inputs of no trajectory cost more than a
-share of the squared radius, so that a lower bound above (1 + share) radius^2 refutes a catch. The
-aim is the first step whose plan ends well within the radius, or else the one with the smallest
-miss, if that is within the radius.
+For each step k at which the goal is within reach, a problem of k steps minimises the miss (7.10a);
+the inputs of no trajectory cost more than a share of the squared radius, so that a lower bound
+above (1 + share) radius^2 refutes a catch. The aim is the first step whose plan ends well within
+the radius, or else the one with the smallest miss, if that is within the radius. If the planned
+catch is narrowly lost, the vehicle still flies towards it: forecast, wind and model are not more
+accurate than that.
 
-If there is no catch within the horizon, later ones are sought with the same number of longer steps:
-so a vehicle that cannot stop finds the way out and back to a goal inside its smallest circle. The
-planned time of such a catch is kept unless an earlier one is found; searching anew each time could
-postpone it forever.
-
-With an approach cone, a catch counts only if its last heading is inside the cone; "well within"
-then also means inside a narrower cone.
-
-If a planned catch is narrowly lost, the vehicle still flies towards it: forecast, wind and model
-are not more accurate than that.
-
-An ``exact`` step integrates the chord between the thrust axes at its ends; the vehicle turns along
-the arc, and its speed lags. Plans are solved again for a goal shifted by the resulting error at
-their end, their *defect* (iterated defect correction).
+Catches beyond the horizon are sought with the same number of longer steps: so a vehicle that cannot
+stop finds the way out and back to a goal inside its smallest circle. The planned time of such a
+catch is kept unless an earlier one is found; searching anew each time could postpone it forever.
 
 Between the ends of two steps, shorter steps are tried if the goal's position is known then: before
 the end of a step that has a catch, and within steps that may pass the goal, finely enough not to
 skip a radius. A command remains in force until the next tick, which may come after the first
 shorter step. In that case, they are tried only if turns are limited or take place within a step,
 and not if the vehicle would turn by more than half a turn until the tick.
-
-The earliest catch turns at once and as fast as possible to gain a centimetre; a vehicle with lags
-in its turns oscillates about such plans. A catch can be *centred* instead: it ends at the same
-time, slightly short of the goal, and heads through the goal's centre, so that turns are gentle.
 
 Mathematics: docs/mathematics.md, 7.10.
 """
@@ -357,6 +343,8 @@ class Interception:
         """Return the catch at the same end through the centre of the goal, if there is one.
 
         It ends short of the goal by the remaining distance of the given catch, and a little more.
+        The earliest catch turns at once and as fast as possible to gain a centimetre; a vehicle
+        with lags in its turns oscillates about such plans.
         """
         end, goals = found.end, self._goals(query, found.end)
         if found.plan is None or len(goals) < 2:  # too late to change much
@@ -435,7 +423,8 @@ class Interception:
     ) -> _Attempt:
         """Try to catch the goal at an end, in units of steps, with correction of the defect.
 
-        Plans are solved again while the next one may end near the goal, if their defect is as here.
+        A plan is solved again for a goal shifted by its defect (iterated defect correction), while
+        the next one may end near the goal if its defect is as here.
         """
         found, aims = MISSED, goals
         for _ in range(TRIES):
@@ -498,8 +487,9 @@ def _finest(problem: Problem, radius: float) -> float:
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """Return the final position error of a vehicle that follows a plan, shape (n,) [m].
 
-    Its speed has a ``lag`` [s]. It is zero if thrust is an acceleration, if rates are commanded one
-    step ahead, and for ``euler`` steps.
+    An ``exact`` step integrates the chord between the thrust axes at its ends; the vehicle turns
+    along the arc, and its speed has a ``lag`` [s]. The error is zero if thrust is an acceleration,
+    if rates are commanded one step ahead, and for ``euler`` steps.
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)

@@ -238,11 +238,6 @@ class Planner:
         led = self._compensator.response.lead(problem) / problem.step
         return _Memory(np.zeros(problem.dimension), led, reached)
 
-    def reset(self) -> None:
-        """Forget everything, for instance before another flight."""
-        self._memory.reached = self._compensator.history.last = None
-        self.start_afresh(wind=True)
-
     def start_afresh(self, *, wind: bool = False) -> None:
         """Forget the previous plan, but not the command in force; the horizon starts anew.
 
@@ -369,18 +364,17 @@ class Planner:
         state = State.at(**start.state, commanded=reached, wanted=wanted, hazards=hazards)
         memory.last, memory.passed = start.odometry.time, passed
         memory.flown += passed
-        task = self._task(state, passed, late)
+        task = self._task(state, late)
         if lost:
             decision = self._hold(state, task, lost)
         elif task is None:
             reason = Reason(Cause.HORIZON, 'the horizon has run out')
             decision = self._safe(state, Status.FEASIBLE, reason)
         else:
-            decision = self._planned(snapshot.goal, start, task, passed)
+            decision = self._planned(snapshot.goal, start, task)
         memory.decision = decision
-        if any(start.odd):
-            decision = replace(decision, reason=joined(decision.reason, *start.odd))
-        return replace(decision, **start.told, left_out=left_out)
+        words = joined(decision.reason, *start.odd)
+        return replace(decision, reason=words, **start.told, left_out=left_out)
 
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
@@ -402,24 +396,23 @@ class Planner:
         before = max(before, min(asked, self.problem.least_speed))
         memory.reached = moved_towards(self.problem, before, asked, steps)
 
-    def _task(self, state: State, passed: float, late: Late | None) -> Task | None:
-        """Return the task without goals, ``passed`` steps after the last; None without any steps.
+    def _task(self, state: State, late: Late | None) -> Task | None:
+        """Return the task, still without goals; None without any steps.
 
         Its knots are the ends of its steps in the previous plan.
         """
-        count, step = self._steps(self._memory.flown)
+        memory = self._memory
+        count, step = self._steps(memory.flown)
         if not count:
             return None
-        solver, before = self._solver(count, step), self._memory.decision
+        solver, before = self._solver(count, step), memory.decision
         pace = before.problem.step if before and before.problem else self.problem.step
-        knots = passed * (self.problem.step / pace) + step / pace * self._counted[:count]
+        knots = memory.passed * (self.problem.step / pace) + step / pace * self._counted[:count]
         plan, none = before.plan if before else None, np.zeros((0, 0))
         return Task(solver.problem, state, none, knots, solver, plan, self._projection, late)
 
-    def _planned(
-        self, given: Array | GoalMotion | None, start: PlanStart, task: Task, passed: float
-    ) -> Decision:
-        """Return the decision for a known goal, ``passed`` steps after the last one."""
+    def _planned(self, given: Array | GoalMotion | None, start: PlanStart, task: Task) -> Decision:
+        """Return the decision for a known goal."""
         memory, state, odometry = self._memory, task.state, start.odometry
         assert given is not None
         ends = odometry.time + task.problem.step * self._counted[: len(task.knots)]
@@ -436,8 +429,7 @@ class Planner:
         if isinstance(motion, Paced):
             held = motion.trouble(ends, self._max_rate)
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
-            known = self._interception, motion, passed or math.inf
-            task, (plan, status, words), catch = self._caught(task, *known)
+            task, (plan, status, words), catch = self._caught(task, self._interception, motion)
         elif state.hazards:
             task, (plan, status, words) = self._tracked(task)
         else:
@@ -498,13 +490,13 @@ class Planner:
         return instead, instead.status, joined(words, less)
 
     def _caught(
-        self, task: Task, interception: Interception, motion: GoalMotion | None, pause: float
+        self, task: Task, interception: Interception, motion: GoalMotion | None
     ) -> tuple[Task, Answer, Intercept]:
         """Return the task of the earliest catch and its answer; without one, of tracking.
 
         It is sought as if there were no hazards, which can only be earlier, so that its bound also
         holds among them. A catch that leads through hazards is discarded, and only a few plans are
-        tried. ``pause`` is the time since the last decision in steps, infinite at the first.
+        tried.
         """
         memory = self._memory
         now = memory.last or 0.0
@@ -515,7 +507,7 @@ class Planner:
         if task.state.hazards:
             alone = replace(task, state=replace(task.state, hazards=()))
         most = CATCHES_AMONG if task.state.hazards else math.inf
-        query = InterceptQuery(alone, motion, now, pause, expected, most)
+        query = InterceptQuery(alone, motion, now, memory.passed or math.inf, expected, most)
         found, catch = interception.earliest(query)
         words = ''
         if found is None and self._approach.exists:
@@ -560,10 +552,6 @@ class Planner:
             if plan is not None:
                 reason = reason.and_so('the plan leads out of it')
                 return self._following(eased, plan, status, reason, Fallback.CLEAREST_WAY)
-        return self._sidestep(task, status, reason)
-
-    def _sidestep(self, task: Task, status: Status, reason: Reason) -> Decision:
-        """Return the decision for the clearest way, if one meets all other constraints."""
         plan, apart = clearest(task) if task.state.hazards else (None, 0.0)
         if plan is None:
             return self._safe(task.state, status, reason)

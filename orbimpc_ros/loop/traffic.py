@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbimpc_ros.loop.compensation import Odometry
+from orbimpc_ros.loop.goal.motion import slope
 from orbimpc_ros.mpc.arrays import Array, ByContent, Sealed
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput
@@ -107,9 +108,7 @@ class ObstacleTracker:
 def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
     """Return the hazard of a body on the straight line fitted to its latest sightings."""
     last, places = track[-1], np.array([seen.body.centre for seen in track])
-    stamps = np.array([seen.time for seen in track])
-    past = stamps - stamps.mean()
-    velocity = past @ places / (past @ past) if len(track) > 1 else 0.0 * places[0]
+    velocity = slope(np.array([seen.time for seen in track]), places)
     body = last.body.shifted((at - last.time) * velocity)
     moving = MovingObstacle.drifting(body, velocity)
     return replace(moving, unsure=0.0 if len(track) > 1 else unseen)
@@ -125,23 +124,20 @@ class AgentTrajectory(Sealed):
 
     def hazards(self, at: float, distance: Distance) -> list[MovingObstacle]:
         """Return the hazards that the vehicle constitutes from a time [s] on."""
-        age = at - self.time
+        age, begun, first = at - self.time, self.times[0], Ball(self.positions[0], distance.radius)
         if age > distance.timeout + FORGOTTEN:
             return []
-        course = self._course(distance.radius)
-        found = [course.after(at - float(self.times[0]))]
-        if age > distance.timeout:
+        course = MovingObstacle.drifting(first)
+        if len(self.times) > 1:
+            course = MovingObstacle(first, self.times - begun, self.positions - self.positions[0])
+        found = [course.after(at - float(begun))]
+        if age > distance.timeout:  # a ball around all points where it may have stopped
             times = self.times[(self.times > self.time) & (self.times < at)]
-            way = course.moved(np.array([self.time, *times, at]) - self.times[0])
-            found.append(_around(way + course.body.centre, distance.radius))
+            way = first.centre + course.moved(np.array([self.time, *times, at]) - begun)
+            middle = 0.5 * (way.min(axis=0) + way.max(axis=0))
+            reach = distance.radius + float(np.linalg.norm(way - middle, axis=1).max())
+            found.append(MovingObstacle.drifting(Ball(middle, reach)))
         return found
-
-    def _course(self, radius: float) -> MovingObstacle:
-        """Return the vehicle as a ball, with times from its first position on."""
-        first = Ball(self.positions[0], radius)
-        if len(self.times) == 1:
-            return MovingObstacle.drifting(first)
-        return MovingObstacle(first, self.times - self.times[0], self.positions - self.positions[0])
 
 
 @dataclass(frozen=True)
@@ -163,13 +159,6 @@ def silence(name: str, agent: AgentTrajectory | None, due: float) -> str:
     if silent > FORGOTTEN:
         return f'{name} is silent: no longer avoided'
     return f'{name} is silent: avoided wherever it may have stopped' if silent > 0.0 else ''
-
-
-def _around(way: Array, radius: float) -> MovingObstacle:
-    """Return a ball at rest around the points of a way, (K, n), where a vehicle may stop."""
-    middle = 0.5 * (way.min(axis=0) + way.max(axis=0))
-    reach = radius + float(np.linalg.norm(way - middle, axis=1).max())
-    return MovingObstacle.drifting(Ball(middle, reach))
 
 
 @dataclass(frozen=True)

@@ -171,6 +171,7 @@ def best_swing(past: Past, middle: int) -> tuple[float, float]:
     return float(GRID[found]), misfit * len(past[0]) / len(times)
 
 
+MEMORY = 768  # sightings
 MOST_DAMPED = 2.0  # [1/s]
 BENT_FROM = 5  # sightings: any three fit an acceleration
 # For a few numbers at a time: importing SciPy's takes longer than a flight's calls.
@@ -209,6 +210,7 @@ class Fits:
 
     Attributes:
         prior: noise known before.
+        waiting: placements requested, made by the next ``solve``.
         weighed: families without a frequency, or moved since they were placed, so that evidence
             covers the frequency, shape (K,).
         rates: angular frequencies, shape (K,) [rad/s]; 0 without one, or before it is placed.
@@ -233,7 +235,8 @@ class Fits:
         self._pull = np.zeros((size, rows))  # parameters that the priors pull to zero
         self._gram = np.zeros((size, COLUMNS, COLUMNS))
         self._moments = np.zeros((size, COLUMNS, n))
-        self._square, self.count = 0.0, 0
+        self._square, self.count, self.waiting = 0.0, 0, list[Placement]()
+        self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, n))
         self.gain = np.zeros(size)
         self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
         self.misfit = self.noises = self.evidence = np.zeros(size)
@@ -247,20 +250,28 @@ class Fits:
         """Return the columns of every family at times, shape (M,) [s], as shape (K, M, 7)."""
         return columns(times, self.rates[:, None], self.dampings[:, None])
 
-    def add(self, past: Past) -> None:
-        """Add sightings."""
-        x = self.rows(past[0])
+    @property
+    def past(self) -> Past:
+        """Return all sightings so far."""
+        return self._times[: self.count], self._seen[: self.count]
+
+    def add(self, times: Array, seen: Array) -> None:
+        """Add sightings: times, shape (M,) [s], and positions, shape (M, n) [m]."""
+        latest = slice(self.count, self.count + len(times))
+        self._times[latest], self._seen[latest] = times, seen
+        x = self.rows(times)
         turned = x.transpose(0, 2, 1)
         self._gram += turned @ x
-        self._moments += turned @ past[1]
-        self._square += float(np.sum(past[1] * past[1]))
-        self.count += len(past[0])
+        self._moments += turned @ seen
+        self._square += float(np.sum(seen * seen))
+        self.count += len(times)
 
-    def place(self, to: Placement, past: Past) -> None:
+    def place(self, to: Placement) -> None:
         """Linearise a family anew; ``solve`` must follow."""
         family, rate, damping, coefficients, weighed = to
-        n, x = self._n, columns(past[0], rate, damping)
-        self._gram[family], self._moments[family] = x.T @ x, x.T @ past[1]
+        times, seen = self.past
+        n, x = self._n, columns(times, rate, damping)
+        self._gram[family], self._moments[family] = x.T @ x, x.T @ seen
         self.rates[family], self.dampings[family] = rate, damping
         self.coefficients[family] = coefficients
         self.weighed[family] = weighed
@@ -273,10 +284,10 @@ class Fits:
             self._pull[family, n : 2 * n] = coefficients[LINEAR]
             self._pull[family, shape] = coefficients[COSINE : SINE + 1].ravel()
 
-    def moved(self, family: int, past: Past) -> Placement:
+    def moved(self, family: int) -> Placement:
         """Return a family after a Gauss-Newton step, shortened to where linearity holds."""
-        n, step = self._n, self._step[family]
-        span = float(past[0][-1] - past[0][0]) or 1.0
+        n, step, times = self._n, self._step[family], self.past[0]
+        span = float(times[-1] - times[0]) or 1.0
         rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == TURN else 0.0
         radius = float(np.linalg.norm(self.coefficients[family, COSINE]))
         step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * rim / max(radius, TINY))
@@ -295,6 +306,9 @@ class Fits:
 
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
+        for each in self.waiting:
+            self.place(each)
+        self.waiting.clear()
         size, rows = self._step.shape
         flat = self._jacobian.reshape(size, rows, -1)
         residual = self._moments - self._gram @ self.coefficients
@@ -360,3 +374,39 @@ def data_evidence(
     shape = share + 0.5 * numbers
     prior = share * np.log(scale) - log_gamma(share) - 0.5 * numbers * math.log(2.0 * math.pi)
     return prior + log_gamma(shape) - shape * np.log(scale + 0.5 * misfit)
+
+
+WIDTHS = np.array([PLACE, SPEED, THRUST])  # prior standard deviations of a new motion
+ODDS_ANEW = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
+
+
+def evidence_anew(past: Past, lengths: np.ndarray, noises: Array) -> Array:
+    """Return the evidence of a still, straight or bent motion over the latest sightings.
+
+    It is given for each of the ``lengths``, increasing numbers of sightings, shape (L,), with the
+    share and scale of the noise known before, shape (L, 2). One Cholesky factor serves all three
+    motions, because the columns of each are the first of the next.
+    """
+    latest = slice(-1, -1 - lengths[-1], -1)
+    times, places = past[0][latest], past[1][latest]
+    share, scale = noises.T
+    variance, n = scale / share, places.shape[1]
+    rows = (times - times[0])[:, None] ** np.arange(3.0)
+    seen = places - places[0]
+    gram = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)[lengths - 1]
+    moments = np.cumsum(rows[:, :, None] * seen[:, None, :], axis=0)[lengths - 1]
+    square = np.cumsum(np.sum(seen * seen, axis=1))[lengths - 1]
+    prior = variance[:, None] / WIDTHS**2
+    gram[:, range(1, 3), range(1, 3)] += prior[:, 1:]
+    factor = np.linalg.cholesky(gram)
+    white = np.linalg.solve(factor, moments)
+    explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
+    spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
+    found = data_evidence(
+        np.maximum(square[:, None] - explained, 0.0),
+        float(n) * lengths[:, None],
+        share[:, None],
+        scale[:, None],
+    )
+    found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS_ANEW
+    return np.asarray(np.logaddexp.reduce(found, axis=1))

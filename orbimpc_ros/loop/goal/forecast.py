@@ -26,14 +26,12 @@ from orbimpc_ros.loop.goal.fits import (
     DRIFTING,
     FIXED,
     LINEAR,
+    MEMORY,
     NAMES,
     ONE,
     OSCILLATING,
-    PLACE,
     SINE,
-    SPEED,
     SWING,
-    THRUST,
     TINY,
     TURN,
     UNKNOWN,
@@ -45,52 +43,16 @@ from orbimpc_ros.loop.goal.fits import (
     best_swing,
     circle,
     columns,
-    data_evidence,
+    evidence_anew,
 )
-from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation
+from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation, slope
 from orbimpc_ros.mpc.arrays import Array
 
 # Sightings of a new motion: even, because only every other older one was weighed.
 LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
 TIE = 4.0  # lengths with evidence this close count as equal; the longest is chosen
 RARE = -5.0  # logarithm of the prior odds of a change of course at a sighting
-WIDTHS = np.array([PLACE, SPEED, THRUST])  # prior standard deviations of a new motion
-ODDS = np.array([0.0, 0.0, -3.0])  # logarithms: still, straight, bent
-
-
-def evidence_anew(past: Past, lengths: np.ndarray, noises: Array) -> Array:
-    """Return the evidence of a still, straight or bent motion over the latest sightings.
-
-    It is given for each of the ``lengths``, increasing numbers of sightings, shape (L,), with the
-    share and scale of the noise known before, shape (L, 2). One Cholesky factor serves all three
-    motions, because the columns of each are the first of the next.
-    """
-    latest = slice(-1, -1 - lengths[-1], -1)
-    times, places = past[0][latest], past[1][latest]
-    share, scale = noises.T
-    variance, n = scale / share, places.shape[1]
-    rows = (times - times[0])[:, None] ** np.arange(3.0)
-    seen = places - places[0]
-    gram = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)[lengths - 1]
-    moments = np.cumsum(rows[:, :, None] * seen[:, None, :], axis=0)[lengths - 1]
-    square = np.cumsum(np.sum(seen * seen, axis=1))[lengths - 1]
-    prior = variance[:, None] / WIDTHS**2
-    gram[:, range(1, 3), range(1, 3)] += prior[:, 1:]
-    factor = np.linalg.cholesky(gram)
-    white = np.linalg.solve(factor, moments)
-    explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
-    spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
-    found = data_evidence(
-        np.maximum(square[:, None] - explained, 0.0),
-        float(n) * lengths[:, None],
-        share[:, None],
-        scale[:, None],
-    )
-    found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS
-    return np.asarray(np.logaddexp.reduce(found, axis=1))
-
-
-MEMORY, KEPT = 768, 512  # sightings: the most remembered, and those kept when the memory is full
+KEPT = 512  # sightings, when the memory is full
 BELIEVED = 3  # consecutive outliers that start a new motion
 GATE = 6.0  # standard deviations beyond which a sighting is an outlier
 AGILE = 5.0  # [m/s^2] unpredicted acceleration that a goal may have
@@ -114,7 +76,6 @@ class Bank:
         self._apart: list[tuple[float, Array]] = []  # consecutive outliers so far
         self._lately: list[tuple[float, Array]] = []
         self._fastest = 0.0  # highest observed speed [m/s]
-        self._waiting: list[Placement] = []
 
     def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting; ignore it unless it is newer than the last."""
@@ -166,12 +127,14 @@ class Bank:
             self._doubt(time, position)
             return
         self._apart = []
-        self._place_waiting()
-        self._note_speed(time, position)
-        self._append(np.array([time]), position[None])
+        self._add(time, position)
         self._work(waited)
-        if self._count == MEMORY:
+        if self._fits.count == MEMORY:
             self._shorten()
+
+    def _add(self, time: float, position: Array) -> None:
+        self._note_speed(time, position)
+        self._fits.add(np.array([time - self._epoch]), position[None] - self._origin)
 
     def _doubt(self, time: float, position: Array) -> None:
         """Set an outlier aside; with some more it starts a new motion."""
@@ -182,21 +145,14 @@ class Bank:
 
     def _work(self, waited: float) -> None:
         """Do the work of a sighting: one of two tasks, or both after a wait [s]."""
-        at_leisure, odd = self._count < YOUNG or waited > PATIENCE, self._count % 2
+        at_leisure, odd = self._fits.count < YOUNG or waited > PATIENCE, self._fits.count % 2
         if at_leisure or not odd:
             for _ in range(min(int(waited / PATIENCE), MOST_TASKS) + (1 if at_leisure else 2)):
                 self._refine()
         if at_leisure or odd:
-            self._place_waiting()
             self._conclude()
             if self._changed():
                 self._reconsider()
-
-    def _place_waiting(self) -> None:
-        """Apply the placements requested by tasks, now that a fit to all sightings follows."""
-        for each in self._waiting:
-            self._fits.place(each, self._past())
-        self._waiting.clear()
 
     def _expected(self, time: float, position: Array, waited: float) -> bool:
         """Return True if any motion with a considerable share predicts the goal near there."""
@@ -211,26 +167,16 @@ class Bank:
         """Start anew with the first sightings of a motion: times, (M,), and positions, (M, n)."""
         self._start_from(float(times[0]), seen[0].copy(), noise)
         for time, position in zip(times.tolist(), seen, strict=True):
-            self._note_speed(time, position)
-            self._append(np.array([time]), position[None])
+            self._add(time, position)
             self._conclude()
 
     def _start_from(self, epoch: float, origin: Array, noise: Noise) -> None:
         """Forget all sightings; later ones are relative to a time [s] and a position, (n,)."""
         self._epoch, self._origin = epoch, origin
-        self._times, self._seen = np.zeros(MEMORY), np.zeros((MEMORY, len(origin)))
         # Of one motion through all sightings up to each, and its noise.
         self._evidence, self._noises = np.full(MEMORY + 1, -np.inf), np.ones((MEMORY + 1, 2))
         self._fits = Fits(len(origin), noise)
-        self._count, self._tasks, self._searched = 0, 0, 0
-        self._apart, self._waiting = [], []
-
-    def _append(self, times: Array, seen: Array) -> None:
-        """Add sightings: times, shape (M,) [s], and positions, shape (M, n) [m]."""
-        past, latest = (times - self._epoch, seen - self._origin), self._count + len(times)
-        self._times[self._count : latest], self._seen[self._count : latest] = past
-        self._count = latest
-        self._fits.add(past)
+        self._tasks, self._searched, self._apart = 0, 0, []
 
     def _conclude(self) -> None:
         """Fit the families and compute their shares."""
@@ -239,55 +185,55 @@ class Bank:
         shares = np.exp(self._fits.evidence - best)
         total = shares.sum()
         self._shares = shares / total
-        self._evidence[self._count] = best + math.log(total)
-        self._noises[self._count] = self._fits.noise()
+        self._evidence[self._fits.count] = best + math.log(total)
+        self._noises[self._fits.count] = self._fits.noise()
         self._fitted: Array = self._fits.fitted
 
     def _changed(self) -> int:
         """Return the number of sightings of a new motion, if one is likely; otherwise 0."""
-        lengths = LENGTHS[self._count > LENGTHS]
+        count = self._fits.count
+        lengths = LENGTHS[count > LENGTHS]
         if not len(lengths):
             return 0
-        before = self._count - lengths
-        anew = evidence_anew(self._past(), lengths, self._noises[before])
-        gain = self._evidence[before] + anew
-        if gain.max() + RARE <= self._evidence[self._count]:
+        before = count - lengths
+        gain = self._evidence[before]
+        gain = gain + evidence_anew(self._fits.past, lengths, self._noises[before])
+        if gain.max() + RARE <= self._evidence[count]:
             return 0
         return int(lengths[np.flatnonzero(gain > gain.max() - TIE)[-1]])
 
     def _reconsider(self) -> None:
         """Start anew with a new motion, unless an oscillation explains it on closer analysis."""
-        if self._count >= SWINGS_FROM:
+        fits = self._fits
+        if fits.count >= SWINGS_FROM:
             self._look_closely()
         new = self._changed()
         if new:
-            times, seen = self._past()
+            times, seen = fits.past
             begun = times[-new:] + self._epoch, seen[-new:] + self._origin
-            self._begin(*begun, Noise(*map(float, self._noises[self._count - new])))
+            self._begin(*begun, Noise(*map(float, self._noises[fits.count - new])))
 
     def _shorten(self) -> None:
         """Drop the oldest sightings, but keep the present estimates."""
-        before, (times, seen) = self._fits, (each[-KEPT:] for each in self._past())
+        before = self._fits
+        times, seen = (each[-KEPT:] for each in before.past)
         ways = before.rows(times) @ self._fitted
         self._start_from(self._epoch + times[0], self._origin + seen[0], before.prior)
-        self._append(self._epoch + times - times[0], self._origin + seen - seen[0])
+        self._fits.add(times - times[0], seen - seen[0])
         for family in np.flatnonzero(before.rates).tolist():
             rate, damping = before.rates[family], before.dampings[family]
             x = columns(times - times[0], rate, damping)[:, BENDING]
             coefficients = np.zeros_like(before.coefficients[family])
             coefficients[BENDING] = np.linalg.lstsq(x, ways[family] - seen[0], rcond=None)[0]
             moved = bool(before.weighed[family])
-            self._fits.place(Placement(family, rate, damping, coefficients, moved), self._past())
+            self._fits.place(Placement(family, rate, damping, coefficients, moved))
         self._conclude()
-
-    def _past(self) -> Past:
-        return self._times[: self._count], self._seen[: self._count]
 
     # --- tasks
 
     def _refine(self) -> None:
         """Improve one oscillation, or search for others: one task at a time, to bound the cost."""
-        if self._count < SWINGS_FROM:
+        if self._fits.count < SWINGS_FROM:
             return
         self._tasks += 1
         swing, carrier = partial(self._seek, SWING, FIXED), partial(self._seek, CARRIER, DRIFTING)
@@ -299,19 +245,17 @@ class Bank:
 
     def _look_closely(self) -> None:
         """Do all tasks at once that are otherwise spread over many sightings."""
+        fits = self._fits
         self._begin_search()
         self._seek(SWING, FIXED)
         self._seek(CARRIER, DRIFTING)
         for _ in range(STEPS):
-            self._place_waiting()
             self._conclude()
             for family in OSCILLATING:
-                if self._fits.gain[family] > WORTHWHILE:
-                    self._waiting.append(self._fits.moved(family, self._past()))
-            self._place_waiting()
+                if fits.gain[family] > WORTHWHILE:
+                    fits.place(fits.moved(family))
             self._seek_damped()
             self._seek_turn()
-        self._place_waiting()
         self._conclude()
 
     def _move(self) -> None:
@@ -320,47 +264,45 @@ class Bank:
         raw = [each for each in OSCILLATING if fits.rates[each] and not fits.weighed[each]]
         for family in (*raw, *OSCILLATING[turn:], *OSCILLATING[:turn]):
             if fits.gain[family] > WORTHWHILE:
-                self._waiting.append(fits.moved(family, self._past()))
+                fits.waiting.append(fits.moved(family))
                 return
 
     def _begin_search(self) -> None:
         """Choose the sightings in which swings are sought: all so far."""
-        self._searched = self._count
+        self._searched = self._fits.count
 
     def _seek(self, family: int, middle: int) -> None:
         """Place a family at the frequency of the best swing, if that fits better."""
         if self._searched < SWINGS_FROM:
             return
-        times, seen = self._past()
-        rate, misfit = best_swing((times[: self._searched], seen[: self._searched]), middle)
         fits = self._fits
+        times, seen = (each[: self._searched] for each in fits.past)
+        rate, misfit = best_swing((times, seen), middle)
         if not fits.rates[family] or misfit < BETTER * fits.misfit[family]:
             still = np.zeros_like(fits.coefficients[family])
-            self._waiting.append(Placement(family, rate, 0.0, still))
+            fits.waiting.append(Placement(family, rate, 0.0, still))
 
     def _seek_damped(self) -> None:
         """Restart the damped swing from the swing, if that fits better."""
         fits = self._fits
-        if self._worse(DAMPED, SWING):
-            self._start(DAMPED, fits.rates[SWING], fits.coefficients[SWING])
+        self._restart(DAMPED, SWING, fits.rates[SWING], fits.coefficients[SWING])
 
     def _seek_turn(self) -> None:
         """Restart the turn from the acceleration, or later from the swing, if that fits better."""
-        fits, middle = self._fits, 0.5 * self._times[self._count - 1]
+        fits = self._fits
+        middle = 0.5 * fits.past[0][-1]
         bend = arc(self._fitted[ACCELERATION], middle)
         if bend and middle * bend[0] < 1.0:
-            if self._worse(TURN, ACCELERATION):
-                self._start(TURN, *bend)
-        elif self._worse(TURN, SWING):
-            self._start(TURN, fits.rates[SWING], circle(fits.coefficients[SWING]))
+            self._restart(TURN, ACCELERATION, *bend)
+        else:
+            self._restart(TURN, SWING, fits.rates[SWING], circle(fits.coefficients[SWING]))
 
-    def _worse(self, family: int, other: int) -> bool:
+    def _restart(self, family: int, other: int, rate: float, coefficients: Array) -> None:
+        """Place a family where another one is found to oscillate, if that fits better."""
         fits = self._fits
-        return not fits.rates[family] or fits.misfit[family] > WORSE * fits.misfit[other]
-
-    def _start(self, family: int, rate: float, coefficients: Array) -> None:
-        if coefficients[COSINE].any():
-            self._waiting.append(Placement(family, rate, 0.0, coefficients))
+        worse = not fits.rates[family] or fits.misfit[family] > WORSE * fits.misfit[other]
+        if worse and coefficients[COSINE].any():
+            fits.waiting.append(Placement(family, rate, 0.0, coefficients))
 
 
 LOWEST, HIGHEST = 0.01, 2.0  # frequencies considered [Hz], the highest subject to Nyquist
@@ -390,11 +332,7 @@ class Velocity:
     def at(self, times: Array) -> Array:
         """Return the line at ``times`` [s], shape (N, n) [m]; the position if there is only one."""
         stamps, seen = self._past()
-        if stamps[-1] == stamps[0]:
-            return np.tile(seen[-1], (len(times), 1))
-        past = stamps - stamps.mean()
-        slope = past @ seen / (past @ past)
-        return seen.mean(axis=0) + np.outer(times - stamps.mean(), slope)
+        return seen.mean(axis=0) + np.outer(times - stamps.mean(), slope(stamps, seen))
 
 
 class Hold(Velocity):

@@ -37,6 +37,12 @@ class GoalObservation(Sealed):
     attitude: Array | None = None  # shape (n, n); None if undefined in the plane
 
 
+def slope(times: Array, places: Array) -> Array:
+    """Return the velocity of the line fitted to places, shape (M, n) [m]; 0 at one time only."""
+    past = times - times.mean()
+    return np.asarray(past @ places / ((past @ past) or 1.0))
+
+
 class GoalMotion(Protocol):
     """Future motion of a goal: a forecast, or a trajectory published by another node."""
 
