@@ -439,9 +439,8 @@ class Compensator:
             fraction = applied
             velocity = odometry.attitude @ odometry.body_velocity
         elif coming is not None and problem.max_rate:
-            fraction = applied
-            if problem.turns_are_angles:
-                fraction = self.history.applied(odometry.time)
+            angles = problem.turns_are_angles
+            fraction = self.history.applied(odometry.time) if angles else applied
         else:
             fraction = min(1.0, max(0.0, self._airspeed(odometry) / problem.forward))
         coasted = None

@@ -430,10 +430,8 @@ class Planner:
             held = motion.trouble(ends, self._max_rate)
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             task, (plan, status, words), catch = self._caught(task, self._interception, motion)
-        elif state.hazards:
-            task, (plan, status, words) = self._tracked(task)
         else:
-            plan, status, words = task.solved()
+            task, (plan, status, words) = self._tracked(task)
         reason = Reason(Cause.NONE, joined(words, held, shortened))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
@@ -479,8 +477,8 @@ class Planner:
         plan, status, words = answer
         if plan is None or is_clear(wary, plan):
             return answer
-        plans = [plan] if task.rest is None else [plan, task.rest]
-        instead = cheapest_clear(wary, plans) or cheapest_clear(task, plans)
+        rest = [] if task.rest is None else [task.rest]
+        instead = cheapest_clear(wary, rest) or cheapest_clear(task, [plan, *rest])
         instead = instead or clear_instead(wary, plan)
         if instead is plan:
             more = '' if is_clear(task, plan) else 'it turns into a hazard, as all plans found do'
@@ -603,12 +601,7 @@ class Planner:
         known = task.problem, task.goals, reason.cause
         return Decision(status, reason.words, task.state, plan, sent, fallback, *known)
 
-    def _safe(
-        self,
-        measured: Odometry | State | None,
-        status: Status,
-        reason: Reason,
-    ) -> Decision:
+    def _safe(self, measured: Odometry | State | None, status: Status, reason: Reason) -> Decision:
         """Return the decision for the safe command, which is made only here.
 
         ``measured`` is the state to plan from, or odometry that provides the attitude.
