@@ -373,8 +373,9 @@ class Planner:
         else:
             decision = self._planned(snapshot.goal, start, task)
         memory.decision = decision
-        words = joined(decision.reason, *start.odd)
-        return replace(decision, reason=words, **start.told, left_out=left_out)
+        if any(start.odd):
+            decision = replace(decision, reason=joined(decision.reason, *start.odd))
+        return replace(decision, **start.told, left_out=left_out)
 
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
@@ -430,8 +431,10 @@ class Planner:
             held = motion.trouble(ends, self._max_rate)
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             task, (plan, status, words), catch = self._caught(task, self._interception, motion)
-        else:
+        elif state.hazards:
             task, (plan, status, words) = self._tracked(task)
+        else:
+            plan, status, words = task.solved()
         reason = Reason(Cause.NONE, joined(words, held, shortened))
         if plan is None:
             nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
