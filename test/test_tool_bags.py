@@ -95,9 +95,7 @@ def test_both_storages_of_rosbag2_are_read(small, tmp_path, storage, mode):
 
 
 def test_an_empty_bag_is_a_bag(tmp_path):
-    writer = BagWriter(tmp_path / 'run', TOPICS, {})
-    writer.close()
-    writer.close()  # has no effect
+    BagWriter(tmp_path / 'run', TOPICS, {}).close()
     assert content(tmp_path / 'run') == ({}, [], [])
 
 

@@ -202,7 +202,8 @@ def raw(path: Path) -> list[Message]:
     """
     files = _files(path)
     with _reading(path):
-        found = list(_of_mcap(files) if files[0].suffix == MCAP else _of_rosbags(path))
+        read = _of_mcap(files) if files[0].suffix == MCAP else _of_rosbags(path)
+        found = [each for each in read if topics.known(each.topic, each.type)]
     return sorted(found, key=lambda each: each.sent)
 
 
@@ -247,21 +248,20 @@ def _files(path: Path) -> list[Path]:
 
 def _of_rosbags(path: Path) -> Iterator[Message]:
     with Reader(path) as reader:
-        wanted = [each for each in reader.connections if topics.known(each.topic, each.msgtype)]
-        for each, stamp, data in reader.messages(wanted) if wanted else ():
+        for each, stamp, data in reader.messages():
             yield Message(each.topic, each.msgtype, stamp, stamp, bytes(data))
 
 
 def _of_mcap(files: Sequence[Path]) -> Iterator[Message]:
-    """Yield the messages on known topics in MCAP files in the order of writing."""
+    """Yield the messages in MCAP files in the order of writing."""
     for file in files:
         count = 0
         with opened(file, LARGEST_FILE) as stream:
             try:
                 for schema, channel, each in _mcap(stream).iter_messages(log_time_order=False):
-                    if schema is not None and topics.known(channel.topic, schema.name):
-                        sent, count = each.publish_time or each.log_time, count + 1
-                        yield Message(channel.topic, schema.name, each.log_time, sent, each.data)
+                    kind, count = schema.name if schema else '', count + 1
+                    sent = each.publish_time or each.log_time
+                    yield Message(channel.topic, kind, each.log_time, sent, each.data)
             except EndOfFile:
                 cut = f'{file} was not closed: read up to its last chunk, {count} messages'
                 print(f'orbimpc: {cut}', file=sys.stderr)
@@ -324,9 +324,7 @@ class BagWriter:
         self._stream.flush()  # complete chunks survive even if the recorder is killed
 
     def close(self) -> None:
-        """Write the index and the metadata; a second call does nothing."""
-        if self._stream.closed:
-            return
+        """Write the index and the metadata."""
         self._writer.finish()
         self._stream.close()
         begin = min(self._first, self._last)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -26,7 +25,7 @@ from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.ros import topics
 from orbimpc_ros.ros.messages import SECOND, pushed
 from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
-from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, others, read
+from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, Inputs, others
 from orbimpc_ros.ros.topics import resolving
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields, point
@@ -166,6 +165,9 @@ def replayed(recording: Recording) -> Iterator[ReplayedTick]:
     known, simulated = recording.settings, recording.simulated
     planner = OfflinePlanner(known, f'{recording.namespace}/planner')
     planner.inputs.lag = known.step if simulated else 0.0
+    # Whether a goal could be transformed is not recorded.
+    frame = '' if known.tf or known.transforms else known.frame_id
+    probed = replace(known, goal_prediction='hold', frame_id=frame)
     inputs, clock, counts = list(recording.inputs), None, dict[str, int]()
     for recorded in recording.answers:
         sent = inputs[: bisect_right(inputs, recorded.sent, key=lambda each: each.sent)]
@@ -173,7 +175,7 @@ def replayed(recording: Recording) -> Iterator[ReplayedTick]:
         came = [each for each in sent if each.sent <= until[each.topic]]
         inputs[: len(sent)] = [each for each in sent if each.sent > until[each.topic]]
         counted = recorded.answer.get('goal_counts', {})
-        lost, refusals = _lost(came, counts, counted, known), list[str]()
+        lost, refusals = _lost(came, counts, counted, probed), list[str]()
         counts |= counted
         for each in came:
             if each.topic == CLOCK:
@@ -224,18 +226,10 @@ def _lost(
 
     Its queues hold one message: of several acceptable goals, it received the newest.
     """
-    if known.tf or known.transforms:  # whether a goal could be transformed is not recorded
-        known = replace(known, frame_id='')
     lost: list[Message] = []
     for topic in now.keys() & GOALS:
-        good: list[Message] = []
-        for each in came:
-            unset = topic == 'goal' and each.stamp == 0
-            newer = not good or unset or each.stamp > good[-1].stamp
-            if each.topic == topic and newer:
-                with suppress(BadInput):
-                    read(topic, each.content, known)
-                    good.append(each)
+        probe, goals = Inputs(known), [each for each in came if each.topic == topic]
+        good = [each for each in goals if not probe.update(topic, each.content, 0.0)]
         lost += good[: max(0, len(good) - (now[topic] - before.get(topic, 0)))]
     return lost
 
@@ -247,7 +241,13 @@ def _until(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
     sending decide, which ignores the transport delay.
     """
     answer, topics = recorded.answer, {each.topic for each in sent}
-    measured = _sent(sent, 'odom', recorded.stamp)
+
+    def last(topic: str, stamp: int | None) -> int:
+        """Return when the last message with a stamp was sent [ns]; -1 if there is none."""
+        found = (each.sent for each in sent if each.topic == topic and each.stamp == stamp)
+        return max(found, default=-1)
+
+    measured = last('odom', recorded.stamp)
     # If times are mere stamps, a solve seems to take no time: inputs before the odometry count.
     begun = max(recorded.sent - round(1e6 * answer.get('solve_time_ms', 0.0)), measured)
     until = dict.fromkeys(topics, begun)
@@ -257,10 +257,4 @@ def _until(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
     if recorded.planned:  # other ticks have no stamps of traffic
         traffic = dict.fromkeys(topics - {*READ, *TRANSFORMS, CLOCK}, None)
         stamps = traffic | answer.get('traffic_stamps', {}) | stamps
-    return until | {topic: _sent(sent, topic, stamp) for topic, stamp in stamps.items()}
-
-
-def _sent(sent: Sequence[Message], topic: str, stamp: int | None) -> int:
-    """Return when a topic's last message with a stamp was sent [ns]; -1 if there is none."""
-    found = (each.sent for each in sent if each.topic == topic and each.stamp == stamp)
-    return max(found, default=-1)
+    return until | {topic: last(topic, stamp) for topic, stamp in stamps.items()}
