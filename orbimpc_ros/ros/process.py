@@ -153,7 +153,7 @@ class Managed(LifecycleNodeMixin, Node):
         self.get_logger().error(reason)
         if self._in_a_row[what] >= FAILURES_IN_A_ROW:
             self.get_logger().fatal(f'{what} failed {FAILURES_IN_A_ROW} times in a row: giving up')
-            self.exit_code = 1
+            self.exit_code = FAILED
 
     # --- transitions
 
@@ -437,12 +437,12 @@ def run(make: Callable[[], Managed]) -> int:
     except rclpy_implementation.RCLError as error:  # for example, security is required but missing
         return _ended(f'the node cannot be created: {error}', FAILED)
     finally:
-        _end_within(LAST_RESORT)  # the interpreter's exit cleans up the rest
+        _end_at_last()  # the interpreter's exit cleans up the rest
 
 
 def _destroy(node: Managed) -> None:
     """Destroy a node; else its publishers would be deleted at the exit, after the context."""
-    _end_within(LAST_RESORT)
+    _end_at_last()
     with suppress(RuntimeError):  # of rclpy, after an earlier failure, which is to be reported
         node.destroy_node()
 
@@ -488,7 +488,7 @@ def _live(node: Managed) -> int:
     gc.enable()
     while not received and node.exit_code is None:
         spin(SPIN)
-    _end_within(LAST_RESORT)
+    _end_at_last()
     if received:
         node.get_logger().info(f'received {signal.Signals(received[0]).name}, stopping')
     for _ in range(FAREWELLS):
@@ -503,7 +503,7 @@ def _signals() -> list[int]:
     received: list[int] = []
 
     def take(number: int, _frame: Any) -> None:
-        _end_within(LAST_RESORT)
+        _end_at_last()
         received.append(number)
 
     for number in SIGNALS:
@@ -511,10 +511,10 @@ def _signals() -> list[int]:
     return received
 
 
-def _end_within(patience: float) -> None:
-    """End this process after a time [s] with code 1 and a traceback, unless it ends by itself.
+def _end_at_last() -> None:
+    """End this process after LAST_RESORT with code 1 and a traceback, unless it ends by itself.
 
     The threads of a middleware can block its cleanup forever (eProsima/Fast-DDS#6502), or for
     minutes (#6513). The timer runs outside of Python and needs no responsive thread.
     """
-    faulthandler.dump_traceback_later(patience, exit=True)
+    faulthandler.dump_traceback_later(LAST_RESORT, exit=True)
