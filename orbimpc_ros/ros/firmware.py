@@ -74,14 +74,10 @@ class Setpoint:
 def setpoint(
     command: Command, forward: float, step: float, period: float, altitude: float = math.nan
 ) -> Setpoint:
-    """Return the setpoint of a planar command.
+    """Return the setpoint of a planar command, whose rotation is reached after a step [s].
 
-    Args:
-        command: its rotation is reached after a step.
-        forward: full speed [m/s].
-        step: of the plan [s].
-        period: until the next command [s].
-        altitude: above the origin [m]; NaN to hold the present one.
+    ``forward`` is full speed [m/s], ``period`` the time until the next command [s]; ``altitude``
+    as of a setpoint.
     """
     turn, axis = float(command.body_rate[-1]), command.rotation[:, 0]
     heading = math.atan2(axis[1], axis[0]) - (step - period) * turn

@@ -251,7 +251,6 @@ class PlannerNode(Managed):
         stop, before = self._stop(), inputs.odometry
         if refusal := inputs.update(topic, message, *at):
             self._refusal, self._refused_at = refusal, at[0]
-            self._show_changes()
             if topic == 'odom':
                 self._repeat_answer(message)
             return
@@ -277,13 +276,12 @@ class PlannerNode(Managed):
     def _wait(self) -> None:
         """Let new odometry wait for a while for messages that belong to it."""
         inputs = self._core.inputs
-        if inputs.missing:
-            self._show_changes()
-        elif not self._waits:
-            standing = FLEET_PATIENCE if inputs.due else STANDING_PATIENCE
-            patience = standing if self._time.simulated else GOAL_PATIENCE
-            # Counted in checks, at least two: after a stall, queued messages come first.
-            self._waits = math.ceil(patience / self._watch_period)
+        if inputs.missing or self._waits:
+            return
+        standing = FLEET_PATIENCE if inputs.due else STANDING_PATIENCE
+        patience = standing if self._time.simulated else GOAL_PATIENCE
+        # Counted in checks, at least two: after a stall, queued messages come first.
+        self._waits = math.ceil(patience / self._watch_period)
 
     def _on_engaged(self, message: Bool) -> None:
         """Start to command, from a fresh state, or fall silent at once."""
@@ -296,7 +294,6 @@ class PlannerNode(Managed):
         if self._engaged:
             self._core.planner.start_afresh()
         self._log(words)
-        self._show_changes()
 
     @property
     def _engaged(self) -> bool:
@@ -317,9 +314,7 @@ class PlannerNode(Managed):
     # --- a decision
 
     def _plan_if_nothing_is_missing(self) -> None:
-        if self._core.inputs.missing:
-            self._show_changes()
-        else:
+        if not self._core.inputs.missing:
             self._answer(self._decide())
 
     def _answer(self, decision: Decision) -> None:
@@ -550,7 +545,6 @@ class PlannerNode(Managed):
             self._be_safe(core.DISABLED)
         response.success = True
         response.message = 'enabled' if self._enabled else 'disabled: safe command'
-        self._show_changes()
         return response
 
 

@@ -99,10 +99,7 @@ class Wing(ABC):
         """Return control to the autopilot, if silence does not do so."""
 
     def send(self, settings: PlannerSettings, command: Command, altitude: float) -> None:
-        """Send a command if allowed; without commands, the autopilot is not kept in the mode.
-
-        ``altitude`` is above the origin [m]; NaN to hold the present one.
-        """
+        """Send a command if allowed; without commands, the autopilot is not kept in the mode."""
         self.look()
         self._note('setpoint')
         if self.engaged:
