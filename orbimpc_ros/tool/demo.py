@@ -228,21 +228,20 @@ class Pacer:
     """
 
     def __init__(self, recorder: Recorder, begin: float, step: float) -> None:
-        self._latest, self._begin, self._step = recorder.latest, begin, step
+        self._latest, self._now, self._step = recorder.latest, begin, step
         self._clock = recorder.node.create_publisher(Clock, '/clock', DEPTH)
-        self._count, self._sent = 0, -math.inf
+        recorder.node.create_timer(AGAIN, self._tell)
+        self._tell()
 
     def look(self, flying: Sequence[str]) -> None:
         """Advance by a step if the vehicles of these namespaces have answered the last one."""
         stamps = [self._latest.get(f'{name}/cmd_vel', -math.inf) for name in flying]
-        if min(stamps) >= self._time(self._count - 0.5):  # half a step: more than rounding errors
-            self._count, self._sent = self._count + 1, -math.inf
-        if time.monotonic() - self._sent > AGAIN:
-            self._sent = time.monotonic()
-            self._clock.publish(Clock(clock=time_message(self._time(self._count))))
+        if min(stamps) >= (self._now - 0.5 * self._step) * SECOND:  # more than rounding errors
+            self._now += self._step
+            self._tell()
 
-    def _time(self, steps: float) -> int:
-        return round((self._begin + steps * self._step) * SECOND)
+    def _tell(self) -> None:
+        self._clock.publish(Clock(clock=time_message(round(self._now * SECOND))))
 
 
 # --- the bag: serialised messages as they arrive, under their own stamps

@@ -44,7 +44,6 @@ LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # styles of th
 AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body, in RViz's colours
 MOST_HEADINGS, MOST_PLANS = 20, 6
 ZOOM, MOST_TICKS = 0.9, 6  # of views of space
-WIDE = 2.5  # ratio of extents from which on a flight is drawn above its charts
 NOSE = 0.035  # length of a heading, as a share of the flight's extent
 LEAST = 1e-16  # drawn instead of zero on a logarithmic axis
 Flights = Mapping[str, History]  # by name
@@ -160,13 +159,11 @@ def paths(flown: Flights) -> Figure:
 
 def stage(flown: Flights) -> tuple[Figure, Any]:
     """Return a figure with two charts and a view of obstacles and goals, and this view's axes."""
-    figure = Figure(figsize=(10.0, 6.5), layout='constrained')
+    figure = Figure(figsize=(10.0, 8.0), layout='constrained')
     first = next(iter(flown.values()))
     n = first.values['dimension']
-    wide = n == 2 and _is_wide(flown)  # the view above the charts, otherwise next to them
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.0 if wide else 1.6, 1.0))
-    place = grid[0, :] if wide else grid[:, 0]
-    axes: Any = figure.add_subplot(place, projection='3d' if n == 3 else None)
+    grid = figure.add_gridspec(2, 2, height_ratios=(2.2, 1.0))
+    axes: Any = figure.add_subplot(grid[0, :], projection='3d' if n == 3 else None)
     axes.set(**{f'{axis}label': f'{axis} [m]' for axis in 'xyz'[:n]})
     _draw_boxes(axes, first)
     for history in flown.values():
@@ -181,20 +178,11 @@ def stage(flown: Flights) -> tuple[Figure, Any]:
         for axis, size in zip('xyz', sides, strict=True):  # short sides have room for few numbers
             axes.locator_params(axis, nbins=max(1, round(MOST_TICKS * size / max(sides))))
     several = len(flown) > 2 and first.values['avoid_radius']
-    above = figure.add_subplot(grid[1, 0] if wide else grid[0, 1])
-    draw_panel(above, separation(flown) if several else distance(flown))
+    apart = separation(flown) if several else distance(flown)
+    draw_panel(figure.add_subplot(grid[1, 0]), apart)
     draw_panel(figure.add_subplot(grid[1, 1]), shares(flown))
     figure.suptitle(story(flown), x=0.01, ha='left')
     return figure, axes
-
-
-def _is_wide(flown: Flights) -> bool:
-    """Return True if flights extend mainly along x."""
-    drawn = (
-        each for f in flown.values() for each in (f.positions, f.ropes, *map(np.array, f.boxes))
-    )
-    x, y = np.ptp(np.concatenate([each[:, :2] for each in drawn]), axis=0)
-    return bool(x > WIDE * y)
 
 
 def _draw_boxes(axes: Any, history: History) -> None:
