@@ -25,6 +25,7 @@ OBSTACLES = {  # for plans larger by 0.1 m than they are
     'no_corner_cutting': 'true',
     'goal_prediction': 'harmonic',
     'horizon': '8',
+    'objective': 'intercept',
 }
 DEMOS = ('retrieval', 'obstacles', 'dubins', 'spacecraft', 'multirotor', 'lander', 'cessna', 'rope')
 FOLDED = (*FLEETS, 'cessna', 'rope')  # pictures in docs/pictures
