@@ -439,8 +439,8 @@ class Compensator:
             fraction = applied
             velocity = odometry.attitude @ odometry.body_velocity
         elif coming is not None and problem.max_rate:
-            angles = problem.turns_are_angles
-            fraction = self.history.applied(odometry.time) if angles else applied
+            lagging = problem.turns_are_angles and self.response.speed
+            fraction = self.history.applied(odometry.time) if lagging else applied
         else:
             fraction = min(1.0, max(0.0, self._airspeed(odometry) / problem.forward))
         coasted = None

@@ -127,15 +127,8 @@ class _Memory:
 class Planner:
     """Decides on a command for each snapshot; every command is checked, whatever its source.
 
-    Without a plan it falls back, in this order, on
-
-    - the shifted previous plan, if it still holds from the new state, for at most two decisions and
-      never past its horizon;
-    - a *soft arrival*, if disturbances have made a terminal constraint infeasible: the plan with
-      the smallest miss; in a descent from the start on;
-    - the *clearest way*: from inside of boxes, the best plan that leaves them as it may leave
-      hazards; among hazards, a plan that meets all else and keeps farthest from them;
-    - the safe command.
+    Without a plan it falls back, in this order, on the shifted previous plan, a soft arrival, the
+    clearest way, and the safe command (docs/operating.md, What is commanded).
 
     Snapshots may arrive at any rate. The elapsed part of the previous plan, and the remainder of a
     shrinking horizon, follow from the stamps of odometry; if they do not increase, one step has
@@ -234,9 +227,7 @@ class Planner:
     # --- memory
 
     def _fresh(self, reached: float | None = None) -> _Memory:
-        problem = self.problem
-        led = self._compensator.response.lead(problem) / problem.step
-        return _Memory(np.zeros(problem.dimension), led, reached)
+        return _Memory(np.zeros(self.problem.dimension), self.lead / self.problem.step, reached)
 
     def start_afresh(self, *, wind: bool = False) -> None:
         """Forget the previous plan, but not the command in force; the horizon starts anew.

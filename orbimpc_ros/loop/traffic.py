@@ -2,12 +2,10 @@
 """Moving obstacles: observed bodies, and other vehicles that publish plans.
 
 Another vehicle is predicted along its latest plan, and beyond that along the plan's last segment.
-If it has not published for longer than a timeout, it may have stopped on its way. It then counts as
-two hazards: one that flies on, and a ball around all points where it may have stopped, which grows
-at half its speed. It is forgotten ``FORGOTTEN`` seconds later.
+If it has not published for longer than a timeout, it counts as two hazards: one that flies on, and
+a ball around all points where it may have stopped. It is forgotten ``FORGOTTEN`` seconds later.
 
-Bodies are enlarged with time along a plan, because the uncertainty of all positions grows: by a
-*reserve* that is kept as far as some plan can keep it.
+Bodies are enlarged along a plan by a *reserve*, because the uncertainty of all positions grows.
 
 Mathematics: docs/mathematics.md, 7.11.
 """
