@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_429,
+    'orbimpc_ros': 30_418,
     'orbimpc_ros/mpc': 16_011,
-    'orbimpc_ros/loop': 3_418,
+    'orbimpc_ros/loop': 3_407,
     'orbimpc_ros/ros': 4_221,
     'orbimpc_ros/sim': 2_444,
     'orbimpc_ros/tool': 4_208,
