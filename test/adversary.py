@@ -34,7 +34,7 @@ from orbimpc_ros.mpc.problem import (
     State,
     Weights,
 )
-from orbimpc_ros.mpc.problem.case import Case, Sought
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
 from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by
@@ -292,7 +292,7 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     """Return what a random certificate proves of the part with a flight; None if it is unsound."""
     case, count = drawn.case, drawn.case.problem.horizon
     catches, empty = drawn.radius > 0.0, _sometimes(rng, 0.4)
-    sought = Sought(*case, radius=drawn.radius)
+    sought = replace(case, radius=drawn.radius)
     posed = Posed(*case, Statement(case.problem).limits(case.state, case.goals))
     if catches or empty:
         known = refutation(sought, ())

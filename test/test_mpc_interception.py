@@ -79,7 +79,7 @@ def test_no_inputs_cost_more_than_their_share_of_the_squared_radius(n, order):
             turned.append(turned[-1] @ (half if rng.random() < 0.7 else rotation(rng, n)))
         x = np.array(turned)[1:]
         still = replace(problem, weights=replace(problem.weights, terminal=0.0))
-        worst = max(worst, trajectory_of(still, start, np.zeros((4, n)), coordinates(x)).cost)
+        worst = max(worst, trajectory_of(still, start, np.zeros((4, n)), coordinates(x)).objective)
     assert 0.3 * EFFORT * RADIUS**2 < worst <= EFFORT * RADIUS**2 * (1.0 + 1e-9)
 
 

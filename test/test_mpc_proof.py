@@ -321,4 +321,4 @@ def test_a_cone_bounds_the_headings_of_its_own_steps_alone():
     cones = (Cone((1.0, 0.0), 0.3, 0.0, (k,)) for k in (1, 2))
     limits = (NO_LIMITS._replace(cones=(each,)) for each in cones)
     first, last = (Verifier(problem).bound(start, goals, leaf, limits=each) for each in limits)
-    assert first < trajectory_of(problem, start, goals, turned).cost < 2.7 < last < 3.0
+    assert first < trajectory_of(problem, start, goals, turned).objective < 2.7 < last < 3.0

@@ -18,7 +18,7 @@ from problems import state as state_of
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, MovingObstacle, Problem, State
-from orbimpc_ros.mpc.problem.case import Case, Sought
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.document import (
     Unproved,
     held_in_time,
@@ -43,7 +43,7 @@ def held(make):
 
 def hunting(problem, goal, state=AHEAD):
     """Return the capture problem of a vehicle and a goal at rest."""
-    return Sought(problem, state, np.tile(goal, (problem.horizon, 1)), RADIUS)
+    return Case(problem, state, np.tile(goal, (problem.horizon, 1)), RADIUS)
 
 
 # --- problems, most of them infeasible
@@ -151,7 +151,7 @@ KINDS = {
 
 
 def sought_of(kind, seed=0):
-    return Sought(*KINDS[kind](np.random.default_rng([seed, *kind.encode()])))
+    return KINDS[kind](np.random.default_rng([seed, *kind.encode()]))
 
 
 @functools.cache
@@ -183,7 +183,7 @@ def test_what_somebody_has_flown_is_not_refuted(seed):
     assert len(flown) > 10
     for drawn in flown:
         with pytest.raises(Unproved, match='no refutation'):
-            refutation_of(Sought(*drawn.case), 1, polled(100))
+            refutation_of(drawn.case, 1, polled(100))
 
 
 def among_boxes(seed):
@@ -197,7 +197,7 @@ def among_boxes(seed):
     )
     way = rotation(rng, 2)
     goal = way[:, 0] + rng.uniform(0.6, 1.2) * (count - 1) * rotation(rng, 2)[:, 0]
-    return Sought(problem, State.at(np.zeros(2), way), np.tile(goal, (count, 1)))
+    return Case(problem, State.at(np.zeros(2), way), np.tile(goal, (count, 1)))
 
 
 @pytest.mark.parametrize('seed', range(20))
@@ -341,7 +341,7 @@ def test_below_a_floor_of_faces_the_first_change_of_speed_is_not_known():
     )
     start = State.at(np.zeros(3), 0.1 * np.eye(3), attitude=np.eye(3))
     goal = np.array([0.1 + 2 * 0.5, 0.0, 0.0])
-    sought = Sought(problem, start, np.tile(goal, (3, 1)))
+    sought = Case(problem, start, np.tile(goal, (3, 1)))
     plan = Solver(problem).solve(start, sought.goals)
     assert np.linalg.norm(plan.positions[-1] - goal) < 1e-6
     with pytest.raises(Unproved, match='no refutation'):

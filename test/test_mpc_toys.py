@@ -65,7 +65,7 @@ def test_the_optimum_of_a_new_model_is_that_of_an_independent_solver():
     plan = Solver(problem, gap_tolerance=1e-8).solve(start, BEHIND)
 
     def cost(x):
-        return trajectory_of(problem, start, BEHIND, x.reshape(5, 2)).cost
+        return trajectory_of(problem, start, BEHIND, x.reshape(5, 2)).objective
 
     disks = {'type': 'ineq', 'fun': lambda x: 1.0 - (x.reshape(5, 2) ** 2).sum(axis=1)}
     least = minimize(cost, np.zeros(10), method='SLSQP', constraints=disks, tol=1e-12).fun

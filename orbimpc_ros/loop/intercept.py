@@ -41,7 +41,7 @@ from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
-from orbimpc_ros.mpc.problem.case import Sought
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import missed
 from orbimpc_ros.mpc.solve.request import Enough
 from orbimpc_ros.mpc.solve.solver import Answer, Solver, Task
@@ -76,7 +76,7 @@ class Intercept:
 
     time: float
     bound: float
-    sought: Sought
+    sought: Case
     counted: float
 
     @property
@@ -237,7 +237,7 @@ class Interception:
         caught = best.miss <= self._radius
         first = min(bound, best.end) if caught else bound
         goals = self._goals(query, self._horizon)
-        sought = Sought(self._tracked, query.task.state, goals, self._radius)
+        sought = Case(self._tracked, query.task.state, goals, self._radius)
         when, known = best.end if caught else math.nan, min(counted, first)
         catch = Intercept(self._step * when, self._step * first, sought, self._step * known)
         return best.found, catch

@@ -35,7 +35,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
 from orbimpc_ros.mpc.plan import Command, Plan, command_of, interpolated
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
-from orbimpc_ros.mpc.problem.case import Case, Sought
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import clamp_goal, entry_speed, held_goal, moved_towards
 from orbimpc_ros.mpc.solve.solver import Answer, Late, Solver, Task
 
@@ -88,7 +88,7 @@ class Decision(ByContent):
     goals: Array | None = None  # g_1..g_N of the plan, shape (N, n) [m]
     cause: Cause = Cause.NONE  # why there is no plan on fresh inputs
     catch: Intercept | None = None  # earliest catch of the goal, if sought
-    infeasible: Sought | None = None  # the infeasible problem, if that is the status
+    infeasible: Case | None = None  # the infeasible problem, if that is the status
     refutation: Document | None = None  # proof of infeasibility, or of no earlier catch
     advanced: float = 0.0  # from the measurement to the start of the plan, without ``led`` [s]
     led: float = 0.0  # lead of the start due to the vehicle's lags [s]
@@ -428,7 +428,7 @@ class Planner:
             plan, status, words = task.solved()
         reason = Reason(Cause.NONE, joined(words, held, shortened))
         if plan is None:
-            nothing = Sought(*task.known) if status is Status.INFEASIBLE else None
+            nothing = Case(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
         memory.fallbacks, memory.aim = 0, goals[-1]
         memory.until = memory.flown + task.problem.horizon

@@ -1,10 +1,10 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The independent check that every plan and command must pass before it is published.
 
-It uses no result of the search: the inputs are rolled out from the measured state, objective and
+It uses no result of the search: headings are rolled out from the measured state, objective and
 constraints are evaluated anew at every step, the lower bound is compared with the cost, and
 rotations and command with the plan. The tolerance of lengths is in units of a step's length, all
-others are absolute.
+others are absolute. ``state`` is as measured, ``goals`` are g_1..g_N, shape (N, n) [m].
 
 Mathematics: docs/mathematics.md, 6.2.
 """
@@ -39,14 +39,7 @@ IDENTITY = {n: np.eye(n) for n in (2, 3)}
 
 
 def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
-    """Return why a plan must not be published; empty if it may be.
-
-    Args:
-        problem: that the plan solves.
-        state: as it was measured.
-        goals: g_1..g_N, shape (N, n) [m].
-        plan: to be checked.
-    """
+    """Return why a plan must not be published; empty if it may be."""
     return list(_flaws(problem, state, goals, plan))
 
 
@@ -57,7 +50,7 @@ def holds(problem: Problem, state: State, goals: Array, plan: Plan) -> bool:
 
 def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
     """Yield the reasons why a plan must not be published; the slowest checks are last."""
-    parts = plan.rotations, plan.projected, plan.inputs, plan.positions, plan.velocities
+    parts = plan.rotations, plan.projected, plan.positions, plan.velocities
     if not (math.isfinite(plan.objective) and np.isfinite(np.concatenate(parts, axis=None)).all()):
         yield 'plan is not finite'
         return
@@ -72,30 +65,25 @@ def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator
 
 
 def _dynamics_violations(problem: Problem, state: State, plan: Plan) -> Iterator[str]:
-    if problem.rotation_order == 2 and state.coasted is not None:
-        yield from _coasting_violations(problem, state.coasted, plan)
-    length = _length_tolerance(problem, state)
-    rotations, positions, velocities = _rolled_out(problem, state, plan)
+    decided, length = [state.rotation], _length_tolerance(problem, state)
+    if problem.rotation_order == 2:
+        if state.coasted is None:
+            decided.append(state.rotation + problem.step * state.rotation_rate)
+        else:
+            yield from _coasting_violations(problem, state.coasted, plan)
+    positions, velocities = _rolled_out(problem, state, plan.headings)
     for name, rolled, planned, allowed in (
-        ('rotations', rotations, plan.rotations, TOLERANCE),
+        ('rotations', np.array(decided), plan.rotations[: len(decided)], TOLERANCE),
         ('positions', positions, plan.positions, length),
         ('velocities', velocities, plan.velocities, length / problem.step),
     ):
         error = np.abs(rolled - planned).max()
         if not error <= allowed:  # true for NaN, too, after an overflow
-            yield f'{name} differ by {error:.2g} from a rollout of the inputs'
+            yield f'{name} differ by {error:.2g} from a rollout of the measured state'
 
 
-def _rolled_out(problem: Problem, state: State, plan: Plan) -> tuple[Array, Array, Array]:
-    """Return R_0..R_N, s_0..s_N and p_0..p_N from a rollout of the inputs of a plan."""
-    rates = plan.inputs
-    if problem.rotation_order == 2:
-        first = state.rotation_rate
-        if state.coasted is not None:
-            first = (plan.rotations[1] - state.rotation) / problem.step
-        rates = np.concatenate([first[None], problem.step * plan.inputs[:-1]]).cumsum(axis=0)
-    rotations = np.concatenate([state.rotation[None], problem.step * rates]).cumsum(axis=0)
-    headings = rotations[:, :, 0]
+def _rolled_out(problem: Problem, state: State, headings: Array) -> tuple[Array, Array]:
+    """Return s_0..s_N and p_0..p_N from a rollout of headings R_0 e1..R_N e1."""
     once = step_of(problem.translation, problem.step, problem.forward)
     push, follow, blow = (each[:, None, None] for each in once[1:])
     moved, *sped = push * headings[:-1] + follow * headings[1:] + blow * state.disturbance
@@ -108,7 +96,7 @@ def _rolled_out(problem: Problem, state: State, plan: Plan) -> tuple[Array, Arra
         moved += lasts * rolled[:-1]
     else:
         rolled = problem.forward * headings + state.disturbance
-    return rotations, np.concatenate([state.position[None], moved]).cumsum(axis=0), rolled
+    return np.concatenate([state.position[None], moved]).cumsum(axis=0), rolled
 
 
 def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> Iterator[str]:
@@ -132,18 +120,11 @@ def _length_tolerance(problem: Problem, state: State) -> float:
 def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[str, float]:
     """Return the least margin of a plan to each limit, negative outside.
 
-    Args:
-        problem: gives the limits.
-        state: that the plan starts from, with the hazards.
-        goals: g_1..g_N, shape (N, n) [m].
-        plan: to be judged.
-
-    Returns:
-        Shares of full speed or thrust for ``hull``, ``floor``, ``max_acceleration`` (in a step),
-        ``approach`` and ``tilt``; for ``max_rate`` an angle in a step [rad] with a floor, and a
-        share of full speed without; for obstacles, hazards and ``glide_slope`` lengths [m].
+    They are shares of full speed or thrust for ``hull``, ``floor``, ``max_acceleration`` (in a
+    step), ``approach`` and ``tilt``; for ``max_rate`` an angle in a step [rad] with a floor, and a
+    share of full speed without; for obstacles, hazards and ``glide_slope`` lengths [m].
     """
-    steps = step_margins(problem, state, goals, plan.rotations[:, :, 0], plan.positions[1:])
+    steps = step_margins(problem, state, goals, plan.headings, plan.positions[1:])
     found = {name: float(each.min()) for name, each in steps.items()}
     found['hull'] = float(margin(plan.rotations[1:]).min())
     if problem.boxes:
@@ -163,21 +144,14 @@ def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) 
 def step_margins(
     problem: Problem, state: State, goals: Array, headings: Array, places: Array
 ) -> dict[str, Array]:
-    """Return the margins of single steps to all limits but hull and bodies, negative outside.
+    """Return the margins of single steps to all limits but hull and bodies, as :func:`margins`.
 
-    Args:
-        problem: gives the limits.
-        state: gives attitude and entry speed, and determines the relaxation of cones.
-        goals: g_1..g_N, shape (N, n) [m].
-        headings: R_0 e1..R_N e1, shape (..., N + 1, n).
-        places: s_1..s_N, shape (..., N, n) [m].
-
-    Returns:
-        As for :func:`margins`, of shape (..., N); (..., 1) for ``approach``, of the last step.
+    Those of R_0 e1..R_N e1, shape (..., N + 1, n), and s_1..s_N, shape (..., N, n) [m], have shape
+    (..., N); (..., 1) for ``approach``, of the last step.
     """
     found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        outward = problem.floor_normals
+        outward = problem.floor.normals(problem.dimension)
         above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
         found['floor'] = above - problem.floor.fraction
     if problem.max_rate:
@@ -236,25 +210,17 @@ def speed_margin(problem: Problem, state: State, headings: Array) -> Array:
 
 
 def obstacle_margin(problem: Problem, positions: Array) -> float:
-    """Return the least clearance of s_1..s_N from every box, negative inside [m].
+    """Return the least clearance of s_0..s_N, shape (N + 1, n), from every box [m], except of s_0.
 
-    Args:
-        problem: gives the boxes.
-        positions: s_0..s_N, shape (N + 1, n) [m].
-
-    With ``no_corner_cutting`` consecutive points must also be clear of a common face.
+    With ``no_corner_cutting`` consecutive points must be clear of a common face.
     """
-    least = np.inf
-    for box in problem.boxes:
-        outside = box.clearances(positions)
-        least = min(least, outside[1:].max(axis=1).min())
-        if problem.no_corner_cutting and len(positions) > 2:
-            shared = np.minimum(outside[1:-1], outside[2:]).max(axis=1)
-            least = min(least, shared.min())
-    return float(least)
+    outside = np.array([box.clearances(positions[1:]) for box in problem.boxes])
+    if problem.no_corner_cutting and len(positions) > 2:
+        outside = np.minimum(outside[:, :-1], outside[:, 1:])
+    return float(outside.max(axis=2).min())
 
 
-def terminal_violations(problem: Problem, goals: Array, plan: Plan | Trajectory) -> list[str]:
+def terminal_violations(problem: Problem, goals: Array, plan: Trajectory) -> list[str]:
     """Return the violation of a terminal constraint by a plan or its rollout, if any."""
     if problem.terminal != 'constraint':
         return []
@@ -283,8 +249,10 @@ def _proof_violations(problem: Problem, state: State, goals: Array, plan: Plan) 
 def _objective(problem: Problem, state: State, goals: Array, plan: Plan) -> float:
     """Return the cost of a plan, term by term: every term is >= 0, so nothing cancels."""
     w, h = problem.weights, problem.step
-    misses, inputs = plan.positions[1:] - goals, plan.inputs.ravel()
-    cost = w.position * np.vdot(misses, misses) + w.input * (inputs @ inputs)
+    misses, inputs = plan.positions[1:] - goals, plan.rotations
+    for _ in range(problem.rotation_order):
+        inputs = np.diff(inputs, axis=0) / h
+    cost = w.position * np.vdot(misses, misses) + w.input * np.vdot(inputs, inputs)
     cost += (w.terminal + problem.arrival_weight) * (misses[-1] @ misses[-1])
     if w.length > 0.0:
         cost += w.length * h * problem.forward * _flown(problem, plan)
@@ -297,7 +265,7 @@ def _objective(problem: Problem, state: State, goals: Array, plan: Plan) -> floa
 
 def _flown(problem: Problem, plan: Plan) -> float:
     """Return the sum of the steps' speed fractions: at their start, or for chords at both ends."""
-    sizes = _sizes(plan.rotations[:, :, 0])
+    sizes = _sizes(plan.headings)
     _, push, follow, _ = step_of(problem.translation, problem.step, problem.forward)
     late = float(follow[-1] / (push[-1] + follow[-1]))
     return float((1.0 - late) * sizes[:-1].sum() + late * sizes[1:].sum())
@@ -328,7 +296,7 @@ def _rotation_violations(problem: Problem, state: State, plan: Plan) -> Iterator
 def _off_projection(plan: Plan, known: int) -> float:
     """Return the largest error of Q_k, k >= known, as projections of R_k.
 
-    If R e1 vanishes, Q is the rotation before it. Otherwise in the plane R = |R e1| Q; a
+    If R e1 vanishes, Q is the rotation before it. In the plane R = |R e1| Q. Otherwise a
     thrust-aligned Q in space has its first axis on R e1, and M = Q'R cannot be improved by a roll
     about it: M_23 = M_32, and M_22 + M_33 >= 0. The nearest Q makes M symmetric, with no two
     eigenvalues whose sum is negative (the optimality conditions of Wahba's problem).
@@ -336,13 +304,11 @@ def _off_projection(plan: Plan, known: int) -> float:
     r, q, before = plan.rotations[known:], plan.projected[known:], plan.projected[known - 1 : -1]
     sizes, plane = _sizes(r[:, :, 0]), r.shape[-1] == 2
     held = sizes < HEADING_UNDEFINED
-    strays = []
+    strays = [np.abs(sizes[:, None, None] * q - r)] if plane else []
     if held.any():
         strays.append(np.abs(q - before)[held])
         r, q, sizes = r[~held], q[~held], sizes[~held]
-    if plane:
-        strays.append(np.abs(sizes[:, None, None] * q - r))
-    elif plan.projection == 'thrust_aligned':
+    if not plane and plan.projection == 'thrust_aligned':
         strays.append(np.abs(sizes[:, None] * q[:, :, 0] - r[:, :, 0]))
     if not plane:
         m = np.swapaxes(q, 1, 2) @ r
@@ -365,13 +331,8 @@ def command_violations(
 
     The speed must be that of R_1 or, without a floor, its component along the commanded axis, but
     no slower than ``max_acceleration`` allows. The rotation must be the one that the rate leads to
-    in a step, and as close to the planned rotation as ``max_rate`` allows.
-
-    Args:
-        problem: gives the limits.
-        plan: whose first step is commanded.
-        command: to be checked.
-        entry: share of full speed that the first change of speed starts from.
+    in a step, and as close to the planned rotation as ``max_rate`` allows. The first change of
+    speed starts from the ``entry`` share of full speed.
     """
     parts = (command.speed_fraction, command.body_rate, command.rotation)
     if not all(np.isfinite(part).all() for part in parts):

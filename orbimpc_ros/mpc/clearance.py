@@ -23,13 +23,7 @@ PIECES = 16  # chords per curved step
 
 
 def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
-    """Return a plan's least distances from all balls and moving obstacles, < 0 inside [m].
-
-    Args:
-        problem: gives the balls among its obstacles.
-        state: gives the hazards, and the depth inside of bodies that a plan is allowed.
-        plan: gives positions and velocities.
-    """
+    """Return a plan's least distances from all balls and moving obstacles, < 0 inside [m]."""
     traffic = traffic_of(problem, state)
     if traffic is None:
         return {}

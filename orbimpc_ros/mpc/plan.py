@@ -12,9 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, Sealed
+from orbimpc_ros.mpc.arrays import Array, Sealed, sealed
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, matrix, project_all
-from orbimpc_ros.mpc.model.dynamics import flown
+from orbimpc_ros.mpc.model.dynamics import Trajectory, flown
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import entry_speed
@@ -53,34 +53,24 @@ UNPROVED = Proof(-np.inf, 0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(ByContent):
+class Plan(Trajectory, Sealed):
     """A trajectory over N steps with its certificate. All arrays are read-only.
 
     Attributes:
-        objective: cost of this trajectory, evaluated from its own numbers.
-        proof: its lower bound and how it was found.
-        projection: ``nearest`` or ``thrust_aligned``: how ``projected`` was made.
-        positions: s_0..s_N, shape (N + 1, n) [m].
-        velocities: p_0..p_N, shape (N + 1, n) [m/s].
-        rotations: R_0..R_N in conv SO(n), shape (N + 1, n, n).
-        inputs: u_0..u_{N-1}, shape (N, n, n).
         projected: R_0..R_N projected to rotations, shape (N + 1, n, n); for R_k e1 = 0, whose
             heading is undefined, the previous one.
+        projection: ``nearest`` or ``thrust_aligned``: how ``projected`` was made.
+        proof: its lower bound and how it was found.
     """
 
-    objective: float
-    proof: Proof
-    projection: str
-    positions: Array
-    velocities: Array
-    rotations: Array
-    inputs: Array
     projected: Array
+    projection: str
+    proof: Proof
 
     @cached_property
     def horizon(self) -> int:
         """Return N."""
-        return len(self.inputs)
+        return len(self.rotations) - 1
 
     @cached_property
     def lower_bound(self) -> float:
@@ -122,9 +112,7 @@ class Plan(ByContent):
     @cached_property
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
-        sizes: Array = np.linalg.norm(self.rotations[:, :, 0], axis=1)
-        sizes.setflags(write=False)
-        return sizes
+        return sealed(np.linalg.norm(self.headings, axis=1))
 
     @cached_property
     def coordinates(self) -> Array:
@@ -150,23 +138,16 @@ def assemble(
         given.append(state.coasted)  # the body turns there whatever the thrust
     projected = project_all(rotations[len(given) - 1 :], given[-1], projection)
     made = flown(problem, state, goals, rotations)
-    arrays = {
-        'positions': made.positions,
-        'velocities': made.velocities,
-        'rotations': made.rotations,
-        'inputs': made.inputs,
-        'projected': np.concatenate([given, projected]),
-    }
-    for array in arrays.values():
-        array.setflags(write=False)
-    return Plan(made.cost, proof, projection, **arrays)
+    return Plan(
+        **vars(made),
+        projected=np.concatenate([given, projected]),
+        projection=projection,
+        proof=proof,
+    )
 
 
 def interpolated(at: Array, knots: Array, values: Array) -> Array:
-    """Return values, shape (M, d), interpolated linearly at points, (K,), shape (K, d).
-
-    They are held before the first and after the last of the increasing knots, shape (M,).
-    """
+    """Return values, (M, d), at knots, (M,), interpolated at points, (K,); held outside: (K, d)."""
     return np.column_stack([np.interp(at, knots, column) for column in values.T])
 
 
@@ -176,14 +157,8 @@ def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = No
     Between steps of the previous plan |R e1| is interpolated linearly: on the chord a vehicle would
     slow down. In the plane, where turns are limited as angles, headings follow the shifted ones as
     closely as the vehicle can turn from its attitude. None if the shift does not fit: at rotation
-    order 2 the first rotation is given.
-
-    Args:
-        problem: to be solved now.
-        state: where the new plan starts.
-        plan: the previous one.
-        knots: ends of the new steps as fractional step indices of the previous plan, shape (N,); by
-            default that plan is one step old.
+    order 2 the first rotation is given. ``knots``, shape (N,), are the ends of the new steps in
+    steps of the previous plan, which by default is one step old.
     """
     if problem.rotation_order == 2:
         return None
@@ -244,7 +219,7 @@ def stop(rotation: Array) -> Command:
 
 
 def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Command:
-    """Return the command for a step of ``plan``, the first by default.
+    """Return the command for step k of a checked plan, in 0..N-1.
 
     Rotation order 1: body rate log(Q_k^T Q_{k+1})/h. Order 2: the present body rate already carries
     Q_k to Q_{k+1} in this step, so the rate from its end on is log(Q_{k+1}^T Q_{k+2})/h. The rate
@@ -253,12 +228,6 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
     commanded rotation is the one then reached. Without a floor the speed or thrust is then the
     planned one's component along that axis: at full speed the vehicle would miss the turn, and
     could circle its goal for ever. Its change of speed remains limited, though.
-
-    Args:
-        problem: gives step and limits.
-        state: where the plan starts.
-        plan: a checked plan.
-        step: k, in 0..N-1.
     """
     first = step + problem.rotation_order - 1
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]

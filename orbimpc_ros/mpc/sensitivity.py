@@ -9,8 +9,7 @@ Kuhn, Tucker),
 as functions of the rotations R_1..R_N, with all else eliminated by the dynamics. A multiplier is a
 price: relaxing its constraint by a small eps reduces the optimal cost by price * eps.
 
-A slack is a function c >= 0 that is zero where its constraint is active. Gradients are over the
-coordinates of R_1..R_N.
+A slack is a function c >= 0 that is zero where its constraint is active.
 
 Mathematics: docs/mathematics.md, 6.3.
 """
@@ -63,14 +62,7 @@ class Slack:
 
 
 def slacks_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
-    """Yield the slacks of all active constraints of a plan.
-
-    Args:
-        problem: that was solved.
-        state: where the plan starts.
-        goals: g_1..g_N, shape (N, n) [m].
-        plan: a plan that meets all constraints.
-    """
+    """Yield the slacks of all active constraints of a plan that meets them all."""
     yield from _limits(problem, state, goals, plan)
     if problem.dimension == 3:
         yield from _hull(plan)
@@ -87,7 +79,7 @@ def _limits(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     A floor of several faces has the slope of the face whose margin is largest; where a cone has its
     tip, or a speed is zero, the differences are those of a smooth function.
     """
-    headings, steps, n = plan.rotations[:, :, 0], plan.horizon, problem.dimension
+    headings, steps, n = plan.headings, plan.horizon, problem.dimension
     nudges = np.zeros((steps * n, steps + 1, n))
     nudges[:, 1:] = NUDGE * np.eye(steps * n).reshape(-1, steps, n)
     slacks = _slacks(problem, state, goals, headings)
@@ -154,7 +146,7 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     traffic, nothing = traffic_of(problem, state), ACTIVE * problem.maps.unit
     names = [f'obstacle {i}' for i in range(len(problem.boxes))]
     names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
-    headings, stiff = plan.rotations[1:, :, 0], np.full((problem.horizon, problem.horizon), np.inf)
+    headings, stiff = plan.headings[1:], np.full((problem.horizon, problem.horizon), np.inf)
     regions = Regions(problem, stiff)
     regions.bind(Request(state, goals))
     near = regions.beside(headings, nothing)
@@ -233,14 +225,7 @@ class Explanation:
 
 
 def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Explanation:
-    """Return the binding constraints of an optimal plan with their prices.
-
-    Args:
-        problem: that was solved.
-        state: where the plan starts.
-        goals: g_1..g_N, shape (N, n) [m].
-        plan: the optimum.
-    """
+    """Return the binding constraints of an optimal plan, for g_1..g_N, shape (N, n) [m]."""
     slacks = list(slacks_of(problem, state, goals, plan))
     terms = gradients_of_cost(problem, state, goals, coordinates(plan.rotations[1:]))
     nothing = ROUNDING * max(plan.objective, Units.of(problem).cost)  # at the goal gradients vanish

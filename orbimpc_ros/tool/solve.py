@@ -15,7 +15,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import number
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
-from orbimpc_ros.mpc.problem.case import Case, Sought, case_of
+from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.document import WORD, Document, held_in_time, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of
@@ -37,7 +37,7 @@ def run(
     try:
         plan = solver.solve(case.state, case.goals, None, late)
     except Infeasible as error:
-        sought = Sought(*case)
+        sought = case
         refuted = held_in_time(lambda late: refutation_of(sought, 1, late), late.clock, late.end)
         if refuted is None:
             raise Infeasible(f'{error}; {WORD}') from None
@@ -49,7 +49,7 @@ def run(
     else:
         print(table(case, plan, found))
     if certificate:
-        _write(certificate, document.certificate_of(*case, plan.proof))
+        _write(certificate, document.certificate_of(*case.known, plan.proof))
     return 0
 
 

@@ -23,7 +23,7 @@ from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.problem.case import Case, Sought, case_of
+from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.document import Document, Unproved, certificate_of, refutation, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of
@@ -95,7 +95,7 @@ def _is_of(known: Any, case: Case) -> bool:
     made = document.statement(*case)
     if 'refuted' in known:
         known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
-        made = refutation(Sought(*case, radius=known['refuted'].get('radius', 0.0)), ())
+        made = refutation(replace(case, radius=known['refuted'].get('radius', 0.0)), ())
     unlimited: dict[str, Any] = {'limits': {}}
     return {name: (unlimited | known).get(name) for name in unlimited | made} == unlimited | made
 

@@ -1,26 +1,13 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""Trajectories of the discrete dynamics and their costs: term by term, and condensed.
+"""Trajectories of the discrete dynamics (1.1a) and their costs (1.2a): term by term, and condensed.
 
-Rotations: R_{k+1} = R_k + h u_k, or W_{k+1} = W_k + h u_k and R_{k+1} = R_k + h W_k (explicit
-Euler, old values on the right). Translations: see :mod:`orbimpc_ros.mpc.model.translation`. Costs:
+All but the length term is quadratic; ``solve.statement`` states the whole as a cone program. The
+check evaluates the objective independently.
 
-.. math::
-    q \sum_{k=1}^{N} \|s_k - g_k\|^2 + m \|s_N - g_N\|^2 + r \sum_{k=0}^{N-1} \|u_k\|_F^2
-    + \ell \sum_{k=0}^{N} \lambda_k h z \|R_k e_1\| + w (\|s_N - g_N\|^2 + h^2 \|p_N\|^2)
-    + a \|R_N - R_g\|_F^2
-
-with the arrival weight w, and with lambda_k the share of a step for which R_k e_1 acts: 1, and 0
-for k = N; if thrust moves on a chord, 1/2 for the first and the last. All but the length term is
-quadratic; ``solve.statement`` states the whole as a cone program. The check evaluates the objective
-independently.
-
-With positions eliminated by the dynamics, and for n = 2 (R e1 then determines R), the cost is
-
-    1/2 sum_jk H_jk z_j . z_k + sum_k q_k . z_k + c + (length term),   z_k = R_k e1.
-
-H is the same for every coordinate, so one N x N matrix suffices. Unless an orbitope is active, the
-minimiser of a coordinate of R_1..R_N is a linear map of the same coordinate of given quantities:
-for R e1 of the knowns, for the other columns of R_0 and R_g; at rotation order 2 also of R_1.
+With positions eliminated (1.3a), one N x N matrix H serves every coordinate. Unless an orbitope is
+active, the minimiser of a coordinate of R_1..R_N is a linear map of the same coordinate of given
+quantities: for R e1 of the knowns, for the other columns of R_0 and R_g; at rotation order 2 also
+of R_1.
 
 Mathematics: docs/mathematics.md, 1.1 to 1.3 and 4.7.
 """
@@ -51,25 +38,18 @@ SLIGHT = 1e-10  # share of the diagonal added to a singular Hessian
 
 
 def _inputs_of(problem: Problem, rotations: Array) -> Array:
-    """Return the inputs u_0..u_{N-1} that produce rotations R_0..R_N, shape (N + 1, n, n).
+    """Return the inputs that produce R_0..R_N, shape (N + 1, n, n): u_0..u_{N-1}, (N, n, n).
 
-    At rotation order 2 the last input changes only W_N, which no cost contains: it is zero.
+    At rotation order 2 u_{N-1} is left out: it changes only W_N, which no cost contains.
     """
-    rates = (rotations[1:] - rotations[:-1]) / problem.step
-    if problem.rotation_order == 1:
-        return rates
-    inputs = np.zeros(rates.shape)
-    inputs[:-1] = (rates[1:] - rates[:-1]) / problem.step
+    inputs = rotations
+    for _ in range(problem.rotation_order):
+        inputs = (inputs[1:] - inputs[:-1]) / problem.step
     return inputs
 
 
 def translation_rollout(problem: Problem, state: State, headings: Array) -> tuple[Array, Array]:
-    """Return s_0..s_N and the velocities p_0..p_N, each of shape (N + 1, n).
-
-    Args:
-        problem: gives the model, the step and the forward magnitude.
-        state: gives s_0 and, for an inertial model, p_0.
-        headings: R_k e1, k = 0..N, shape (N + 1, n).
+    """Return s_0..s_N and p_0..p_N for headings R_0 e1..R_N e1, each of shape (N + 1, n).
 
     Without inertia the velocity is z R_k e1 + w, a function of the rotation alone.
     """
@@ -90,9 +70,8 @@ def input_map(problem: Problem) -> Array:
 
     At rotation order 2 these are the second differences u_0..u_{N-2}.
     """
-    n_steps, h = problem.horizon, problem.step
-    first = np.diff(np.eye(n_steps + 1), axis=0) / h
-    return first if problem.rotation_order == 1 else np.diff(first, axis=0) / h
+    order = problem.rotation_order
+    return np.diff(np.eye(problem.horizon + 1), order, axis=0) / problem.step**order
 
 
 def position_weights(problem: Problem) -> Array:
@@ -141,7 +120,7 @@ def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Ar
     flown = trajectory_of(problem, state, goals, x)
     missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
     stopped = velocity_weight(problem) * np.outer(maps.arrival[-1, 1:], flown.velocities[-1])
-    turned = coordinates(flown.inputs[: len(turn)])
+    turned = coordinates(_inputs_of(problem, flown.rotations))
     attitude = np.zeros_like(x)
     attitude[-1] = 2.0 * attitude_weight(problem) * (x[-1] - wanted_coordinates(problem, state))
     axes = flown.headings[1:]
@@ -163,23 +142,21 @@ def on_axes(gradient: Array) -> Array:
     return full
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
-    """States and inputs that obey the dynamics, with their cost.
+    """States that obey the dynamics, with their cost.
 
     Attributes:
+        objective: the cost, evaluated from these numbers.
         positions: s_0..s_N, shape (N + 1, n) [m].
         velocities: p_0..p_N, shape (N + 1, n) [m/s].
-        rotations: R_0..R_N, shape (N + 1, n, n).
-        inputs: u_0..u_{N-1}, shape (N, n, n).
-        cost: the objective.
+        rotations: R_0..R_N in conv SO(n), shape (N + 1, n, n).
     """
 
+    objective: float
     positions: Array
     velocities: Array
     rotations: Array
-    inputs: Array
-    cost: float
 
     @property
     def headings(self) -> Array:
@@ -197,8 +174,8 @@ def flown(problem: Problem, state: State, goals: Array, turned: Array) -> Trajec
     rotations = np.concatenate([state.rotation[None], turned])
     axes = rotations[:, :, 0]
     positions, velocities = translation_rollout(problem, state, axes)
-    inputs = _inputs_of(problem, rotations)
-    w, missed, u = problem.weights, positions[1:] - goals, inputs.ravel()
+    u = _inputs_of(problem, rotations).ravel()
+    w, missed = problem.weights, positions[1:] - goals
     every, last = missed.ravel(), missed[-1]
     cost = w.position * (every @ every) + w.input * (u @ u)
     cost += (w.terminal + problem.arrival_weight) * (last @ last)
@@ -209,7 +186,7 @@ def flown(problem: Problem, state: State, goals: Array, turned: Array) -> Trajec
     if w.attitude > 0.0:
         off = (rotations[-1] - state.wanted).ravel()
         cost += w.attitude * (off @ off)
-    return Trajectory(positions, velocities, rotations, inputs, float(cost))
+    return Trajectory(float(cost), positions, velocities, rotations)
 
 
 class Quadratic(NamedTuple):

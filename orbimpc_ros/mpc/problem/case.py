@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, fields_of, frozen, numbers_of
+from orbimpc_ros.mpc.arrays import Array, ByContent, fields_of, frozen, numbers_of, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import (
     Approach,
@@ -21,7 +21,6 @@ from orbimpc_ros.mpc.problem import (
     State,
     Weights,
 )
-from orbimpc_ros.mpc.problem.obstacle import tracked
 from orbimpc_ros.mpc.problem.problem import weighed
 
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
@@ -29,39 +28,29 @@ EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'disc
           'tilt', 'glide_slope')  # fmt: skip
 PARTS = ('floor', 'obstacles', 'approach')
 BODIES = 'boxes {min, max} and balls {centre, radius}'
+T = TypeVar('T')
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 
 
-class Case(NamedTuple):
-    """A problem with a state and goals, to be solved once.
+@dataclass(frozen=True, eq=False)
+class Case(ByContent):
+    """A problem with a state and goals, to be solved once; ``problem, state, goals = case``.
 
     Attributes:
         problem: model, weights and constraints.
         state: where the plan starts.
         goals: g_1..g_N, shape (N, n) [m].
-    """
-
-    problem: Problem
-    state: State
-    goals: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Sought(ByContent):
-    """A problem and the kind of trajectory to find in it.
-
-    Attributes:
-        problem: model and constraints, with the cone of approach of a catch.
-        state: where plans start.
-        goals: g_1..g_N, shape (N, n) [m].
-        radius: largest distance |s_k - g_k| at which the goal is caught at step k [m]; 0 to find
-            any feasible trajectory.
+        radius: of a catch, the largest distance |s_k - g_k| at any of the steps [m]; 0 without.
     """
 
     problem: Problem
     state: State
     goals: Array
     radius: float = 0.0
+
+    def __iter__(self) -> Iterator[Any]:
+        """Iterate over problem, state and goals."""
+        return iter((self.problem, self.state, self.goals))
 
 
 def case_of(mapping: Any) -> Case:
@@ -86,9 +75,9 @@ def case_of(mapping: Any) -> Case:
     optional = (*EXTRAS, *PARTS, 'hazards', 'goal_attitude')
     known = fields_of(mapping, 'case', needed, optional)
     problem = _problem(known)
-    state = _state(problem, known['state'], known.get('goal_attitude'))
-    hazards = _hazards(problem, known.get('hazards', []))
-    return Case(problem, replace(state, hazards=hazards), _goals(problem, known['goal']))
+    hazards = _each(known.get('hazards', []), 'hazards', _hazard)
+    state = _state(problem, known['state'], known.get('goal_attitude'), hazards)
+    return Case(problem, state, _goals(problem, known['goal']))
 
 
 def _problem(known: Mapping[str, Any]) -> Problem:
@@ -99,7 +88,7 @@ def _problem(known: Mapping[str, Any]) -> Problem:
         **plain,
         weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),
         floor=_floor(known.get('floor', {'shape': 'none'})),
-        obstacles=_obstacles(known.get('obstacles', [])),
+        obstacles=_each(known.get('obstacles', []), 'obstacles', _body),
         approach=_approach(known.get('approach', {'cone': 0.0})),
     )
     return weighed(problem, scaling)
@@ -117,52 +106,42 @@ def _approach(value: Any) -> Approach:
     return Approach(known['cone'], tuple(direction))
 
 
-def _obstacles(value: Any) -> tuple[Box | Ball, ...]:
+def _each(value: Any, culprit: str, made: Callable[[Any, str], T]) -> tuple[T, ...]:
     if not isinstance(value, list):
-        raise BadInput('obstacles', value, f'a list of {BODIES}')
-    return tuple(_obstacle(each, f'obstacles[{i}]') for i, each in enumerate(value))
+        raise BadInput(culprit, value, f'a list of {BODIES}')
+    return tuple(made(each, f'{culprit}[{i}]') for i, each in enumerate(value))
 
 
-def _obstacle(value: Any, culprit: str) -> Box | Ball:
+def _body(value: Any, culprit: str, moves: tuple[str, ...] = ()) -> Box | Ball:
+    """Return the body that a mapping describes, whose other fields are ``moves``."""
     if isinstance(value, dict) and ('centre' in value or 'radius' in value):
-        ball = fields_of(value, culprit, ('centre', 'radius'))
+        ball = fields_of(value, culprit, ('centre', 'radius', *moves))
         return Ball(numbers_of(ball['centre'], 'obstacles.centre'), ball['radius'])
-    box = fields_of(value, culprit, ('min', 'max'))
+    box = fields_of(value, culprit, ('min', 'max', *moves))
     return Box(numbers_of(box['min'], 'obstacles.min'), numbers_of(box['max'], 'obstacles.max'))
-
-
-def _hazards(problem: Problem, value: Any) -> tuple[MovingObstacle, ...]:
-    if not isinstance(value, list):
-        raise BadInput('hazards', value, f'a list of {BODIES} that move')
-    made = tuple(_hazard(each, f'hazards[{i}]') for i, each in enumerate(value))
-    return tracked(made, problem.dimension)
 
 
 def _hazard(value: Any, culprit: str) -> MovingObstacle:
     moves = ('times', 'shifts') if isinstance(value, dict) and 'times' in value else ('velocity',)
-    kind = ('centre', 'radius') if isinstance(value, dict) and 'centre' in value else ('min', 'max')
-    known = fields_of(value, culprit, (*kind, *moves))
-    body = _obstacle({name: known[name] for name in kind}, culprit)
-    given = [numbers_of(known[name], f'{culprit}.{name}') for name in moves]
+    body = _body(value, culprit, moves)
+    given = [numbers_of(value[name], f'{culprit}.{name}') for name in moves]
     if len(given) == 2:
         return MovingObstacle(body, *given)
     return MovingObstacle.drifting(body, frozen(given[0], (body.dimension,), f'{culprit}.velocity'))
 
 
-def _state(problem: Problem, value: Any, wanted: Any) -> State:
-    optional = [
-        'disturbance',
-        *(['velocity'] if problem.inertial else []),
-        *(['rotation_rate'] if problem.rotation_order == 2 else []),
-    ]
-    known = fields_of(value, 'state', ('position', 'rotation'), optional)
-    arrays = {name: numbers_of(known[name], f'state.{name}') for name in known}
+def _state(problem: Problem, value: Any, wanted: Any, hazards: tuple[MovingObstacle, ...]) -> State:
+    rates = ['velocity'] * problem.inertial + ['rotation_rate'] * (problem.rotation_order == 2)
+    known = fields_of(value, 'state', ('position', 'rotation'), ('disturbance', *rates))
+    arrays, n = (
+        {name: numbers_of(known[name], f'state.{name}') for name in known},
+        problem.dimension,
+    )
     # The state takes its dimension from the position: settle that first.
-    arrays['position'] = frozen(arrays['position'], (problem.dimension,), 'state.position')
+    arrays['position'] = frozen(arrays['position'], (n,), 'state.position')
     if wanted is not None:
-        n = problem.dimension
         arrays['wanted'] = frozen(numbers_of(wanted, 'goal_attitude'), (n, n), 'goal_attitude')
-    return State.at(**arrays)
+    return State.at(**arrays, hazards=hazards)
 
 
 def _goals(problem: Problem, value: Any) -> Array:
@@ -171,4 +150,4 @@ def _goals(problem: Problem, value: Any) -> Array:
     numbers_of(value, 'goal')
     if value and isinstance(value[0], list):
         return frozen(value, (horizon, n), 'goal')
-    return frozen(np.tile(frozen(value, (n,), 'goal'), (horizon, 1)), (horizon, n), 'goal')
+    return sealed(np.tile(frozen(value, (n,), 'goal'), (horizon, 1)))

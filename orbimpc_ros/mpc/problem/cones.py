@@ -6,7 +6,7 @@ must not make the problem infeasible: such a vehicle needs a plan the most. The 
 relaxed by the violations of a *climb*, a rollout at full thrust that turns upright as fast as the
 vehicle can, but for a lean that brings it above the goal: no step may be farther outside than that
 step of the climb. From the step on at which the climb is back inside, the cone itself holds; it is
-not relaxed at all if the climb never leaves it.
+not relaxed at all if the climb never leaves it. ``goals`` are g_1..g_N, shape (N, 3) [m].
 
 Mathematics: docs/mathematics.md, 3.9.
 """
@@ -54,12 +54,7 @@ def leaning(problem: Problem, headings: Array) -> Array:
 
 
 def strayed(problem: Problem, away: Array) -> Array:
-    """Return signed distances from the glide-slope cone, shape (...,), < 0 inside [m].
-
-    Args:
-        problem: gives the angle of the cone.
-        away: s_k - g_k, shape (..., 3) [m].
-    """
+    """Return distances beyond the glide slope, (...,), < 0 inside, of s_k - g_k, (..., 3) [m]."""
     aside = np.hypot(away[..., 0], away[..., 1])
     return np.asarray(
         math.sin(problem.glide_slope) * aside - math.cos(problem.glide_slope) * away[..., 2]
@@ -73,13 +68,7 @@ def slope_sides(problem: Problem) -> Array:
 
 
 def relief(problem: Problem, state: State, goals: Array) -> Relief:
-    """Return the violations that each step is allowed: those of the climb, and some slack.
-
-    Args:
-        problem: with a tilt or a glide slope.
-        state: where the plan starts.
-        goals: g_1..g_N, shape (N, 3) [m].
-    """
+    """Return the violations that each step is allowed: those of the climb, and some slack."""
     headings = climb(problem, state, goals)
     positions, _ = dynamics.translation_rollout(problem, state, headings)
     away = positions[1:] - goals
@@ -142,10 +131,8 @@ def _coasted(problem: Problem, state: State) -> Array:
 def _upward(problem: Problem, away: Array, velocity: Array) -> Array:
     """Return the direction of the climb: up, leaning against horizontal offset and velocity, (3,).
 
-    Args:
-        problem: limits the lean.
-        away: offset from the goal, shape (3,) [m].
-        velocity: shape (1, 3) [m/s]; (0, 3) without inertia: the climb is then vertical.
+    ``away`` is from the goal, shape (3,) [m]; without inertia, the velocity has shape (0, 3)
+    instead of (1, 3) [m/s], and the climb is vertical.
     """
     if not len(velocity):
         return np.array([0.0, 0.0, 1.0])
@@ -160,11 +147,7 @@ def turned_towards(problem: Problem, pointing: Array, ways: Array, steps: Array)
 
     Without a floor they move along the chord, whose length ``max_rate`` limits.
 
-    Args:
-        problem: gives the limits.
-        pointing: heading at the start of the turns, shape (n,).
-        ways: directions to turn to, unit vectors of shape (A, n).
-        steps: times since the start of the turns, in steps, shape (K,).
+    They start from ``pointing``, shape (n,), to ``ways``, shape (A, n), for ``steps``, shape (K,).
     """
     if not problem.max_rate:
         return np.repeat(ways[:, None], len(steps), axis=1)
@@ -188,7 +171,7 @@ def _size(vector: Array) -> float:
 def told(problem: Problem, goals: Array, plan: Plan) -> str:
     """Describe in words by how much a plan violates the cones; empty if it does not."""
     found, small = [], NOTHING * problem.maps.unit
-    tilt = leaning(problem, plan.rotations[1:, :, 0])
+    tilt = leaning(problem, plan.headings[1:])
     slope = strayed(problem, plan.positions[1:] - goals)
     if problem.tilt and tilt.max() > NOTHING:
         found.append(f'tilted too far {_until(tilt, NOTHING)}')

@@ -1,24 +1,11 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-r"""The planning problem: its model, weights and limits; and the state that a plan starts from.
+"""The planning problem: its model, weights and limits; and the state that a plan starts from.
 
-The problem (Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehicular Systems*):
+The objective is that of Huang, Horowitz, Burdick, *Convex Model Predictive Control for Vehicular
+Systems*, extended: (1.2a), over trajectories (1.1a) with R_k in conv SO(n). Its sums have another
+meaning for each step and speed; weights of integrals over the horizon (1.6a) do not.
 
-.. math::
-    \min\; q \sum_{k=1}^{N} \|s_k - g_k\|^2 + r \sum_{k=0}^{N-1} \|u_k\|_F^2
-         + \ell \sum_{k=0}^{N-1} h z \|R_k e_1\| + m \|s_N - g_N\|^2 + a \|R_N - R_g\|_F^2
-
-over trajectories of the discrete dynamics with :math:`R_k \in \operatorname{conv} SO(n)`.
-
-These sums have another meaning for each step and speed. With integrals over the horizon, in units
-of the distance flown in a unit of time,
-
-.. math::
-    q \int \|s - g\|^2 dt + r \int \|R^{(o)}\|_F^2 dt + \ell \int \|R e_1\| dt + m \|s_N - g_N\|^2
-    + a \|R_N - R_g\|_F^2,
-
-weights mean the same at any step and full speed, and a finer step only resolves the problem better.
-
-Mathematics: docs/mathematics.md, 1 and 3.10.
+Mathematics: docs/mathematics.md, 1 and 3.6 to 3.11.
 """
 
 from __future__ import annotations
@@ -51,11 +38,10 @@ TIMES = 20  # units of time in a horizon: the default weights smooth headings ov
 MAX_HORIZON = 500
 LEAST = 1e-6  # [s] and [m/s]: products of far smaller ones underflow
 MAX_OBSTACLES = 64
-WIDEST_APPROACH = 1.4  # [rad] beyond it the cone is nearly a half-space, and ill-conditioned
 SLOWEST = 0.01  # speed fraction below which a heading has no direction
 LEEWAY = 3e-7  # [rad] tolerance of the cone in the plane, for plans that only just reach it
 STEEPEST_GLIDE = 1.5  # [rad]: 14 m up per horizontal metre
-WIDEST_CONE = 1.4  # [rad] beyond it the cone of a turn is nearly a half-space, and ill-conditioned
+WIDEST_CONE = 1.4  # [rad] beyond it a cone is nearly a half-space, and ill-conditioned
 T = TypeVar('T')
 COUNTS = {'dimension': (2, 3), 'rotation_order': (1, 2), 'horizon': (1, MAX_HORIZON)}
 RANGES = {
@@ -113,7 +99,7 @@ class Approach:
     direction: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        number(self.cone, 'approach.cone', 0.0, WIDEST_APPROACH)
+        number(self.cone, 'approach.cone', 0.0, WIDEST_CONE)
         for each in self.direction:
             number(each, 'approach.direction')
 
@@ -269,11 +255,6 @@ class Problem:
         return max(SLOWEST, self.least_speed)
 
     @cached_property
-    def floor_normals(self) -> Array | None:
-        """Return the unit normals of the floor's half-spaces, shape (m, n); None if it is round."""
-        return self.floor.normals(self.dimension)
-
-    @cached_property
     def has_cones(self) -> bool:
         """Return True if there is a tilt limit or a glide slope."""
         return self.tilt > 0.0 or self.glide_slope > 0.0
@@ -360,12 +341,8 @@ def _instance(value: Any, kind: type, culprit: str) -> Any:
 def weighed(problem: Problem, scaling: str) -> Problem:
     """Return a problem with its weights converted to those of the paper's sums.
 
-    Args:
-        problem: with the weights to convert.
-        scaling: ``paper``, weights of sums already; ``time``, dimensionless ones on integrals over
-            the horizon of squared distance, squared inputs and share of full speed or thrust, and
-            on squared final distances. The unit of time is a twentieth of the horizon, that of
-            length the distance flown in it from rest.
+    With the ``scaling`` ``paper`` they are; with ``time`` they are dimensionless ones on integrals
+    over the horizon (1.6a).
 
     Raises:
         BadInput: no such scaling.

@@ -1,6 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """The reach of a horizon and of a step, and explanations of infeasibility that are cheap to find.
 
+``goals`` are g_1..g_N, shape (N, n) [m], and plans start from ``state``.
+
 Mathematics: docs/mathematics.md, 3.10, 5.2, 7.5.
 """
 
@@ -20,8 +22,9 @@ from orbimpc_ros.mpc.problem.obstacle import reserves
 
 SURE = 1e-12  # relative margin for rounding: farther away is surely out of reach
 WITHIN = 1.0 - 1e-9  # share of the largest change of speed, so that rounding does not exceed it
-T = TypeVar('T', float, Array)
 BEYOND = 100.0  # times the reach: goals farther away are moved to this distance
+LIMITS = 'max_rate', 'max_acceleration', 'tilt', 'glide_slope'  # fields that are 0 for no limit
+T = TypeVar('T', float, Array)
 
 
 def decided(problem: Problem, state: State) -> tuple[Array, Array]:
@@ -39,13 +42,10 @@ def reach(problem: Problem, state: State) -> float:
 
 
 def farthest(problem: Problem, speed: float, blown: float, time: T) -> T:
-    """Return an upper bound of the distance reached within a time, or within each of times [m].
+    """Return an upper bound of the distance reached within a time [s], or each of times [m].
 
-    Args:
-        problem: gives the full speed or thrust, and whether the vehicle is inertial.
-        speed: at the start, used for inertial vehicles only [m/s].
-        blown: size of the disturbance [m/s] or [m/s^2].
-        time: from the start [s].
+    The ``speed`` at the start [m/s] counts for inertial vehicles only; ``blown`` is the size of the
+    disturbance [m/s] or [m/s^2].
     """
     fastest = problem.forward + blown
     if not problem.inertial:
@@ -71,11 +71,6 @@ def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str
     The cost of a goal at distance d is of the order of d^2, cost differences between plans of the
     order of d: for distant goals every plan would count as optimal within a relative gap. Goals of
     a terminal constraint are left alone: the solver proves that it cannot be met.
-
-    Args:
-        problem: gives the reach.
-        state: where the plan starts.
-        goals: g_1..g_N, shape (N, n) [m].
     """
     away = goals - state.position
     largest = BEYOND * reach(problem, state)
@@ -89,28 +84,21 @@ def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str
 
 
 def held_goal(problem: Problem, state: State, goals: Array) -> str:
-    """Return a message naming the bodies that contain the goal at every step; empty if none does.
-
-    Args:
-        problem: gives the obstacles.
-        state: gives the hazards.
-        goals: g_1..g_N, shape (N, n) [m].
-    """
-    times = problem.step * np.arange(1, len(goals) + 1)
-    still = {f'obstacle {i}': body.depth(goals) for i, body in enumerate(problem.obstacles)}
-    moving = {f'hazard {i}': each.depth(goals, times) for i, each in enumerate(state.hazards)}
-    held = [name for name, deep in (still | moving).items() if (deep > 0.0).all()]
+    """Return a message naming the bodies around the goal at every step; empty if there are none."""
+    held = [name for name, deep in _depths(problem, state, goals).items() if (deep > 0.0).all()]
     return f'the goal is inside of {" and ".join(held)}' if held else ''
 
 
-def reason(problem: Problem, state: State, goals: Array) -> str:
-    """Return the reason why a problem is infeasible, as far as it can be found cheaply.
+def _depths(problem: Problem, state: State, places: Array) -> dict[str, Array]:
+    """Return how deep places at the ends of steps, (N, n), are inside of each body, (N,) [m]."""
+    times = problem.step * np.arange(1, len(places) + 1)
+    still = {f'obstacle {i}': body.depth(places) for i, body in enumerate(problem.obstacles)}
+    moving = {f'hazard {i}': each.depth(places, times) for i, each in enumerate(state.hazards)}
+    return still | moving
 
-    Args:
-        problem: proved infeasible.
-        state: where plans start.
-        goals: g_1..g_N, shape (N, n) [m].
-    """
+
+def reason(problem: Problem, state: State, goals: Array) -> str:
+    """Return the reason why a problem is infeasible, as far as it can be found cheaply."""
     found = [*_boxed_in(problem, state)]
     beyond = beyond_reach(problem, state, goals)
     if beyond > 0.0:
@@ -124,19 +112,15 @@ def reason(problem: Problem, state: State, goals: Array) -> str:
 
 def constraints_in_force(problem: Problem, state: State) -> list[str]:
     """Return the names of the constraints other than the dynamics and the orbitope."""
-    floor = problem.floor
-    named = {
-        'terminal: constraint': problem.terminal == 'constraint',
-        f'the {floor.shape} floor of {floor.fraction:.4g}': floor.exists,
-        f'max_rate {problem.max_rate:.4g}': problem.max_rate > 0.0,
-        f'max_acceleration {problem.max_acceleration:.4g}': problem.max_acceleration > 0.0,
-        f'{len(problem.obstacles)} obstacles': bool(problem.obstacles),
-        f'{len(state.hazards)} hazards': bool(state.hazards),
-        f'tilt {problem.tilt:.4g}': problem.tilt > 0.0,
-        f'glide_slope {problem.glide_slope:.4g}': problem.glide_slope > 0.0,
-        f'approach.cone {problem.approach.cone:.4g}': problem.approach.exists,
-    }
-    return [name for name, in_force in named.items() if in_force]
+    limits = {f'the {problem.floor.shape} floor of': problem.least_speed}
+    limits |= {name: getattr(problem, name) for name in LIMITS}
+    limits['approach.cone'] = problem.approach.cone
+    counts = {'obstacles': len(problem.obstacles), 'hazards': len(state.hazards)}
+    return [
+        *(['terminal: constraint'] if problem.terminal == 'constraint' else []),
+        *(f'{name} {value:.4g}' for name, value in limits.items() if value),
+        *(f'{count} {name}' for name, count in counts.items() if count),
+    ]
 
 
 def beyond_reach(problem: Problem, state: State, goals: Array) -> float:
@@ -144,9 +128,8 @@ def beyond_reach(problem: Problem, state: State, goals: Array) -> float:
 
     The reach is measured from the coasting position, with full thrust in one direction.
     """
-    return (
-        float(_beyond(problem, state, goals)[-1]) if problem.terminal == 'constraint' else -np.inf
-    )
+    arrives = problem.terminal == 'constraint'
+    return float(_beyond(problem, state, goals)[-1]) if arrives else -math.inf
 
 
 def _beyond(problem: Problem, state: State, goals: Array) -> Array:
@@ -158,13 +141,7 @@ def _beyond(problem: Problem, state: State, goals: Array) -> Array:
 def missed(problem: Problem, state: State, goals: Array, radius: Array | float) -> np.ndarray:
     """Return for which k no headings lead s_k to within a radius of the goal, shape (..., N).
 
-    True is certain, in spite of rounding.
-
-    Args:
-        problem: gives the model.
-        state: where the vehicle starts.
-        goals: g_1..g_N, shape (N, n) [m].
-        radius: of a catch, or several, shape (..., 1) [m].
+    True is certain, in spite of rounding. There may be several radii, shape (..., 1) [m].
     """
     sizes = np.abs(state.position).sum() + np.abs(goals).sum(axis=1)
     rounding = SURE * (problem.maps.unit * (1.0 + len(goals) ** 2) + sizes + radius)
@@ -183,23 +160,15 @@ def beyond_turning(problem: Problem, state: State) -> float:
 
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
     """Yield messages about bodies that contain s_k for all headings."""
-    reached, reach = decided(problem, state)[0][1:], problem.maps.reach
-    known, free = problem.decided_steps, reach[:, 1:].sum(axis=1)
-    for i, body in enumerate(problem.obstacles):
-        deep = body.depth(reached)
+    free = problem.maps.reach[:, 1:].sum(axis=1)
+    for name, deep in _depths(problem, state, decided(problem, state)[0][1:]).items():
         held = np.flatnonzero(deep > free)
         if not held.size:
             continue
-        if held[0] < known:
-            why = 'which the state already determines'
-        else:
-            why = f'{deep[held[0]]:.4g} m inside; plans move that by at most {free[held[0]]:.4g} m'
-        yield f'obstacle {i} contains s_{held[0] + 1}, {why}'
-    for i, hazard in enumerate(state.hazards):
-        times = problem.step * np.arange(1, known + 1)
-        inside = np.flatnonzero(hazard.depth(reached[:known], times) > 0.0)
-        if inside.size:
-            yield f'hazard {i} contains s_{inside[0] + 1}, which the state already determines'
+        why, first = 'which the state already determines', int(held[0])
+        if first >= problem.decided_steps:
+            why = f'{deep[first]:.4g} m inside; plans move that by at most {free[first]:.4g} m'
+        yield f'{name} contains s_{first + 1}, {why}'
 
 
 # --- limited changes of speed
@@ -224,13 +193,6 @@ def first_change_is_decided(problem: Problem, state: State) -> bool:
 
 
 def moved_towards(problem: Problem, before: float, wanted: float, steps: float = 1.0) -> float:
-    """Return the share of full speed nearest to a wanted one among those within reach.
-
-    Args:
-        problem: gives the limit.
-        before: initial share of full speed.
-        wanted: share of full speed.
-        steps: time available, in steps.
-    """
+    """Return the share of full speed nearest to a wanted one within reach of ``before``."""
     most = steps * problem.speed_change
     return max(before - most, min(before + most, wanted))

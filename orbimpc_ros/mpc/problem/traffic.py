@@ -99,11 +99,6 @@ def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
     """Return the depths inside of bodies that each step of a plan is allowed, shape (J, N) [m].
 
     A vehicle that enters only the margin of a body has to stay outside of the body itself.
-
-    Args:
-        problem: gives the model and its limits.
-        state: where the plan starts.
-        traffic: the bodies, not relaxed yet.
     """
     eased, nothing = np.zeros_like(traffic.kept), INSIDE * problem.maps.unit
     deep = _decided_depths(problem, state, traffic)
@@ -156,13 +151,7 @@ def _depths(problem: Problem, state: State, traffic: Traffic, ways: Array) -> Ar
 
 
 def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
-    """Return escapes in all directions, shape (A, N + 1, n), in order of depth within steps.
-
-    Args:
-        problem: gives the model and its limits.
-        state: where the plan starts.
-        traffic: the bodies to stay clear of.
-    """
+    """Return escapes in all directions, shape (A, N + 1, n), in order of depth within steps."""
     ways = directions(problem.dimension)
     deep = np.maximum(_depths(problem, state, traffic, ways), 0.0).sum(axis=(1, 2))
     return escapes(problem, state, ways)[np.argsort(deep, kind='stable')]

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of,
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
-from orbimpc_ros.mpc.problem.case import Sought
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.stated import END, ENDS, STEP, Body, Cone, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARRAYS,
@@ -237,7 +237,7 @@ def certificate_of(problem: Problem, state: State, goals: Array, proof: Proof) -
     return {'format': FORMAT, **statement(problem, state, goals), **claim}
 
 
-def refutation(sought: Sought, trees: Sequence[ProofTree]) -> Document:
+def refutation(sought: Case, trees: Sequence[ProofTree]) -> Document:
     """Return a proof that no trajectory of a problem is feasible, or that none catches its goal.
 
     Args:

@@ -138,7 +138,7 @@ class BranchAndBound:
         if relaxed.x is None:
             return Found(None, np.inf, relaxed.bound, 1)
         trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
-        found = Found(relaxed.x, trajectory.cost, relaxed.bound, 1)
+        found = Found(relaxed.x, trajectory.objective, relaxed.bound, 1)
         # With a closed gap the orbitopes need no check, which takes a quarter of a tick.
         solved = abs(found.gap) <= self.tolerance and not request.late
         arrived = not terminal_violations(self.problem, goals, trajectory)

@@ -138,12 +138,12 @@ class Dives:
         """
         posed, trajectory = self._posed, self._posed.flown(x)
         if (
-            trajectory.cost < self.cost
+            trajectory.objective < self.cost
             and not posed.missed(trajectory.headings)
             and posed.turns_in_time(trajectory.headings)
             and is_accurate(posed.problem, posed.request.goals, trajectory)
         ):
-            self.x, self.cost = x, trajectory.cost
+            self.x, self.cost = x, trajectory.objective
         return trajectory
 
     def stand_in(self) -> None:
@@ -196,8 +196,8 @@ class Dives:
             if x is None:
                 return
             trajectory = self.offer(x)
-            slow = not missed and trajectory.cost > (1.0 - WORTH) * cost
-            headings, cost, cells = trajectory.headings, trajectory.cost, ()
+            slow = not missed and trajectory.objective > (1.0 - WORTH) * cost
+            headings, cost, cells = trajectory.headings, trajectory.objective, ()
 
     def _solved(self, rows: Rows, headings: Array, cells: Held, coned: bool) -> Array | None:
         """Return the solution within half-spaces, shape (N, d); None if there is none.

@@ -82,7 +82,7 @@ class PacedSpeeds:
                     break
         if not known:
             return replace(found, x=None, cost=np.inf)
-        cost, best = min((self._flown(request, x).cost, i) for i, x in enumerate(known))
+        cost, best = min((self._flown(request, x).objective, i) for i, x in enumerate(known))
         return replace(found, x=known[best], cost=cost, reason='')
 
     def _flown(self, request: Request, x: Array) -> Trajectory:
@@ -116,9 +116,9 @@ class PacedSpeeds:
                 break
             found.append(x)
             trajectory = self._flown(request, x)
-            if trajectory.cost > (1.0 - WORTH) * cost:
+            if trajectory.objective > (1.0 - WORTH) * cost:
                 break
-            cost, way = trajectory.cost, trajectory.rotations[1:]
+            cost, way = trajectory.objective, trajectory.rotations[1:]
         return found
 
     def _beside(

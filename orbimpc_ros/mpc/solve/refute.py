@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.problem.case import Sought
+from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof.document import (
     Document,
     OutOfTime,
@@ -33,7 +33,7 @@ from orbimpc_ros.mpc.solve.solver import Units
 TOLERANCE = 1e-6  # of a search, which stops long before
 
 
-def refutation_of(sought: Sought, count: int = 1, out_of_time: OutOfTime | None = None) -> Document:
+def refutation_of(sought: Case, count: int = 1, out_of_time: OutOfTime | None = None) -> Document:
     """Return a proof of infeasibility, or that nothing catches the goal at the first steps.
 
     Args:
@@ -77,7 +77,7 @@ def _leaf(posed: Posed) -> ProofTree:
     return leaf._replace(nodes=np.array([[EMPTY, 0, 0, 0, 0]]))
 
 
-def _found(sought: Sought, posed: Posed, out_of_time: OutOfTime | None) -> ProofTree:
+def _found(sought: Case, posed: Posed, out_of_time: OutOfTime | None) -> ProofTree:
     """Return the proof tree of the general search.
 
     Raises:

@@ -394,7 +394,7 @@ class Solver:
     def _cheapest(self, query: _Query, proof: Proof, below: float) -> Plan | None:
         """Return the cheapest fallback plan that passes the check and costs less than ``below``."""
         known = self.problem, query.state, query.goals
-        priced = [(trajectory_of(*known, x).cost, x) for x in self._unsought(query)]
+        priced = [(trajectory_of(*known, x).objective, x) for x in self._unsought(query)]
         for cost, x in sorted(priced, key=itemgetter(0)):
             if cost >= below:
                 return None

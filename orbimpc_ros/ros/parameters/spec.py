@@ -24,7 +24,7 @@ from orbimpc_ros.loop.compensation import SOURCES
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box
-from orbimpc_ros.mpc.problem.problem import WIDEST_APPROACH, Approach
+from orbimpc_ros.mpc.problem.problem import WIDEST_CONE, Approach
 from orbimpc_ros.ros.messages import THRUST_AXES, Frames
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
@@ -249,7 +249,7 @@ class VehicleParameters(ProcessParameters):
         'm', TINY, 1e6, live=True)
     approach_cone: float = parameter('approach.cone', 0.0, 'A catch counts only with the thrust '
         'axis within this angle of approach.direction, whatever the velocity; 0 for any',
-        'rad', 0.0, WIDEST_APPROACH, live=True)
+        'rad', 0.0, WIDEST_CONE, live=True)
     approach_direction: tuple[float, ...] = parameter('approach.direction', (), 'Heading required '
         "at a catch, in the world frame: x, y, z; empty for the thrust axis of the goal's "
         'orientation', '', -FAR, FAR, live=True)
