@@ -152,7 +152,7 @@ def flight(rng: Rng) -> Flight | None:
         problem = Problem(**given)
         plan = flown(problem)
         case = Case(problem, State.at(**state), goals)
-        if violations(*case, plan) or not _strictly(margins(*case, plan)):
+        if violations(*case.known, plan) or not _strictly(margins(*case.known, plan)):
             return None
     except OrbimpcError:
         return None
@@ -174,7 +174,7 @@ def plans(seed: int, count: int) -> Iterator[Flight]:
     Curved steps among bodies are left out: their control points need not be clear.
     """
     for drawn, _ in flights(seed, count):
-        problem, state, _ = drawn.case
+        problem, state, _ = drawn.case.known
         if problem.translation.degree == 1 or not (problem.obstacles or state.hazards):
             yield drawn
 
@@ -293,7 +293,7 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     case, count = drawn.case, drawn.case.problem.horizon
     catches, empty = drawn.radius > 0.0, _sometimes(rng, 0.4)
     sought = replace(case, radius=drawn.radius)
-    posed = Posed(*case, Statement(case.problem).limits(case.state, case.goals))
+    posed = Posed(*case.known, Statement(case.problem).limits(case.state, case.goals))
     if catches or empty:
         known = refutation(sought, ())
         posed = refuted_by(known, count if catches else 1)[-1]
@@ -307,7 +307,7 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     if not sound:
         return None
     tree, cost = part.tree(leaf, empty), drawn.radius**2 if catches else drawn.plan.objective
-    known = certificate_of(*case, replace(UNPROVED, lower_bound=1.0, tree=tree))
+    known = certificate_of(*case.known, replace(UNPROVED, lower_bound=1.0, tree=tree))
     if catches or empty:
         known = refutation(sought, (tree,) * (count if catches else 1))
     return Judged(proved, 0.0 if empty else cost, known, tree, posed)

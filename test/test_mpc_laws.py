@@ -54,21 +54,21 @@ def drawn():
 def solved(request):
     """A problem with its plan; module-wide, so that all laws are tested on one solution."""
     family, seed = request.param
-    known = case(family, seed)
-    solver = Solver(known.problem, coasting=known.state.coasted is not None, patient=True)
+    posed = case(family, seed)
+    solver = Solver(posed.problem, coasting=posed.state.coasted is not None, patient=True)
     late = None if family in FAMILIES else polled(POLLS)
-    return Solved(family, known, solver, solver.solve(known.state, known.goals, None, late))
+    return Solved(family, posed, solver, solver.solve(posed.state, posed.goals, None, late))
 
 
 def test_a_plan_passes_the_check_and_is_proved(solved):
-    family, known, _, plan = solved
-    assert violations(*known, plan) == []
+    family, posed, _, plan = solved
+    assert violations(*posed.known, plan) == []
     assert plan.lower_bound <= plan.objective * (1.0 + ROUNDING)
     assert plan.status == 'optimal' or HELD_OUT or family in LOOSE, plan.proof.reason
-    for name, least in margins(*known, plan).items():
-        assert least > -1e-5 * max(1.0, known.problem.maps.unit), name
-    away = np.linalg.norm(plan.positions - known.state.position, axis=1)
-    assert away.max() <= reach(known.problem, known.state) + 1e-9
+    for name, least in margins(*posed.known, plan).items():
+        assert least > -1e-5 * max(1.0, posed.problem.maps.unit), name
+    away = np.linalg.norm(plan.positions - posed.state.position, axis=1)
+    assert away.max() <= reach(posed.problem, posed.state) + 1e-9
 
 
 def beside(problem, state, plan):
@@ -100,25 +100,25 @@ def test_no_legal_trajectory_costs_less_than_the_bound(solved):
 
 def test_a_search_that_is_cut_short_has_a_legal_plan_and_a_sound_bound(solved):
     """Even without a single node: a fallback, such as holding the rotation, is the plan."""
-    family, known, solver, best = solved
+    family, posed, solver, best = solved
     for limit in (0, 1, 3, 10, 50):
         try:
-            plan = solver.solve(known.state, known.goals, None, polled(limit))
+            plan = solver.solve(posed.state, posed.goals, None, polled(limit))
         except SolverFailure:
             assert family in SOUGHT
             continue
-        assert violations(*known, plan) == []
+        assert violations(*posed.known, plan) == []
         assert plan.lower_bound <= best.objective * (1.0 + ROUNDING)
         assert best.lower_bound <= plan.objective * (1.0 + ROUNDING)
 
 
 def test_a_guess_leads_to_no_other_optimum(solved):
     """Guesses are the plan itself, another state's plan, and a plan with a false cost."""
-    family, known, solver, best = solved
-    elsewhere = shifted(known.problem, known.state, best)
+    family, posed, solver, best = solved
+    elsewhere = shifted(posed.problem, posed.state, best)
     for guess in (best, elsewhere, replace(best, objective=0.1 * best.objective)):
-        plan = solver.solve(known.state, known.goals, guess, polled(POLLS))
-        assert violations(*known, plan) == []
+        plan = solver.solve(posed.state, posed.goals, guess, polled(POLLS))
+        assert violations(*posed.known, plan) == []
         assert plan.lower_bound <= best.objective * (1.0 + ROUNDING)
         if family in FAMILIES and guess is best:
             assert plan.objective <= best.objective * (1.0 + 1e-4)
@@ -146,7 +146,7 @@ def test_no_flight_costs_less_than_the_bound_of_a_search(seed):
     flown = [*adversary.plans(seed, 60)]
     assert len(flown) > 20
     for index, drawn in enumerate(flown):
-        (problem, state, goals), cost = drawn.case, drawn.plan.objective
+        (problem, state, goals), cost = drawn.case.known, drawn.plan.objective
         solver = Solver(problem, coasting=state.coasted is not None)
         try:
             plan = solver.solve(state, goals, None, polled(100))
@@ -161,10 +161,10 @@ def test_bounds_leave_what_rounding_takes(index):
     """An arrival exact up to rounding, a plan at its goal, and a cost far below its unit."""
     drawn = adversary.flight(np.random.default_rng([817735, index]))
     assert drawn is not None
-    (problem, state, goals), coasting = drawn.case, drawn.case.state.coasted is not None
+    (problem, state, goals), coasting = drawn.case.known, drawn.case.state.coasted is not None
     plan = Solver(problem, coasting=coasting).solve(state, goals)
     assert plan.lower_bound <= plan.objective
-    assert verified(parsed(text_of(certificate_of(*drawn.case, plan.proof)).encode())).holds
+    assert verified(parsed(text_of(certificate_of(*drawn.case.known, plan.proof)).encode())).holds
 
 
 @pytest.mark.parametrize('index', [615, 5965, 21072, 41971])
@@ -172,9 +172,9 @@ def test_a_search_that_finds_nothing_leaves_a_plan_all_the_same(index):
     """Arrivals in a cone of approach, and among bodies, from a search that is stopped early."""
     drawn = adversary.flight(np.random.default_rng([411128, index]))
     assert drawn is not None
-    problem, *known = drawn.case
+    problem, *known = drawn.case.known
     found = Solver(problem).solve(*known, out_of_time=polled(400))
-    assert violations(*drawn.case, found) == []
+    assert violations(*drawn.case.known, found) == []
 
 
 @needs_machine_code
@@ -196,7 +196,7 @@ def certificate(solved):
     """The plan's certificate; None for an open family, whose search may leave a huge tree."""
     if solved.family in OPEN:
         return None
-    return certificate_of(*solved.case, solved.plan.proof)
+    return certificate_of(*solved.case.known, solved.plan.proof)
 
 
 def test_a_bound_is_verified_in_fractions(solved, certificate):

@@ -36,7 +36,7 @@ BEST_KNOWN = ('uav_circle', 'uav_unit', 'dubins_circle')  # feasible values, not
 
 @pytest.mark.parametrize('name', CASES)
 def test_the_papers_problems_have_their_known_optima(name):
-    problem, start, targets = reference(name)
+    problem, start, targets = reference(name).known
     plan = Solver(problem).solve(start, targets)
     answer = ANSWERS[name]['objective']
     assert plan.is_closed
@@ -55,7 +55,7 @@ def test_the_papers_problems_have_their_known_optima(name):
 
 def test_the_papers_minute_long_problem_is_proved():
     """Dubins, N = 20, det R >= 1/2 as a square, path length only: no input weight."""
-    problem, start, targets = reference('dubins_square')
+    problem, start, targets = reference('dubins_square').known
     pure = replace(problem, weights=replace(problem.weights, input=0.0))
     plan = Solver(pure).solve(start, targets)
     assert plan.status == 'optimal'
@@ -71,7 +71,7 @@ CONVEX = [each for each in FAMILIES if not any(word in each for word in CHOICES)
 @pytest.mark.parametrize('seed', range(2))
 @pytest.mark.parametrize('family', CONVEX)
 def test_convex_optima_are_those_of_another_formulation(family, seed):
-    problem, start, targets = case(family, seed, longest=6)
+    problem, start, targets = case(family, seed, longest=6).known
     start = replace(start, rotation=(1.0 - 0.4 * seed) * start.rotation)
     solver = Solver(problem, gap_tolerance=1e-6, coasting=start.coasted is not None, patient=True)
     try:
@@ -152,19 +152,19 @@ BRANCHING = [
 
 
 @pytest.mark.parametrize(
-    ('known', 'near'),
+    ('posed', 'near'),
     [
         *((each, {'rel': 1e-5, 'abs': 1e-6}) for each in BRANCHING),
         *((weighed_apart(seed), {'rel': 1e-3}) for seed in range(6)),
     ],
 )
-def test_searches_find_what_enumeration_finds(known, near):
-    expected, solver = enumerated(*known), Solver(known.problem, gap_tolerance=1e-6)
+def test_searches_find_what_enumeration_finds(posed, near):
+    expected, solver = enumerated(*posed.known), Solver(posed.problem, gap_tolerance=1e-6)
     if expected == np.inf:
         with pytest.raises(Infeasible):
-            solver.solve(known.state, known.goals)
+            solver.solve(posed.state, posed.goals)
         return
-    plan = solver.solve(known.state, known.goals)
+    plan = solver.solve(posed.state, posed.goals)
     assert plan.status == 'optimal'
     assert plan.objective == pytest.approx(expected, **near)
     assert plan.lower_bound <= expected + 1e-6 * max(1.0, expected)
@@ -184,7 +184,7 @@ FLOORED = [
 @pytest.mark.parametrize('family', FLOORED)
 def test_floors_are_closed_in_wind(family, seed):
     """No plan is better by more than the gap, which the verifier proves."""
-    problem, start, targets = case(family, seed, longest=5)
+    problem, start, targets = case(family, seed, longest=5).known
     wanting = 4.0 * seed * (not problem.max_acceleration)
     problem = replace(problem, weights=replace(problem.weights, attitude=wanting))
     wind = disturbed(np.random.default_rng([seed, *family.encode()]), problem).disturbance

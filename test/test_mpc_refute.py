@@ -127,14 +127,14 @@ def run_over(rng):
 
 
 def too_slow_to_speed_up(rng):
-    problem, start, _ = arriving(rng, 0.0, max_acceleration=float(rng.uniform(0.05, 0.2)))
+    problem, start, _ = arriving(rng, 0.0, max_acceleration=float(rng.uniform(0.05, 0.2))).known
     goal = start.position + rng.uniform(0.3, 0.8) * problem.horizon * start.attitude[:, 0]
     return case(problem, replace(start, rotation=0.2 * start.attitude), goal)
 
 
 def too_steep_a_descent(rng):
     cones = {'tilt': float(rng.uniform(0.1, 0.5)), 'glide_slope': float(rng.uniform(0.2, 0.6))}
-    problem, *_ = arriving(rng, 0.0, 3, translation_order=2, **cones)
+    problem = arriving(rng, 0.0, 3, translation_order=2, **cones).problem
     place = np.append(rng.uniform(-2.0, 2.0, 2), rng.uniform(1.0, 6.0)) * problem.horizon
     upright, velocity = np.eye(3)[:, [2, 0, 1]], np.append(rng.normal(size=2), -1.0)
     return case(problem, State.at(place, upright, velocity=velocity), np.zeros(3))
@@ -204,7 +204,7 @@ def among_boxes(seed):
 def test_what_is_refuted_has_no_solution_and_what_has_one_is_not(seed):
     """Compared with another solver that enumerates all choices of sides."""
     sought = among_boxes(seed)
-    known = sought.problem, sought.state, sought.goals
+    known = sought.known
     made, best = held(lambda: refutation_of(sought)), enumerated(*known)
     if best < np.inf:
         assert made is None

@@ -37,8 +37,7 @@ def run(
     try:
         plan = solver.solve(case.state, case.goals, None, late)
     except Infeasible as error:
-        sought = case
-        refuted = held_in_time(lambda late: refutation_of(sought, 1, late), late.clock, late.end)
+        refuted = held_in_time(lambda late: refutation_of(case, 1, late), late.clock, late.end)
         if refuted is None:
             raise Infeasible(f'{error}; {WORD}') from None
         _write(certificate, refuted)
@@ -67,7 +66,7 @@ def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:
         'objective': plan.objective,
         'lower_bound': plan.lower_bound if proved else None,
         'gap': plan.gap if proved else None,
-        'nodes': plan.nodes,
+        'nodes': plan.proof.nodes,
         'solve_time_ms': solve_time_ms,
         'positions': plan.positions.tolist(),
         'rotations': plan.rotations.tolist(),
@@ -98,7 +97,7 @@ def table(case: Case, plan: Plan, found: dict[str, Any]) -> str:
     lines = [
         f'status      {plan.status}, gap {gap}',
         f'cost        {plan.objective:.6g}, at least {least}',
-        f'solved in   {found["solve_time_ms"]:.1f} ms, {plan.nodes} nodes',
+        f'solved in   {found["solve_time_ms"]:.1f} ms, {plan.proof.nodes} nodes',
         f'command     {command["speed_fraction"]:.3f} of full {full}, turn at {turn} deg/s',
         '',
     ]

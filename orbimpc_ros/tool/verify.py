@@ -161,7 +161,7 @@ def _bound(then: Answer, now: Decision) -> Document:
         raise Unproved('it planned another catch, or none, at its deadline')
     if claimed > plan.objective + TOLERANCE * (plan.objective + plan.proof.cost_unit):
         raise Refuted(f'a trajectory costs {plan.objective!r}')
-    return certificate_of(*posed, replace(plan.proof, lower_bound=claimed))
+    return certificate_of(*posed.known, replace(plan.proof, lower_bound=claimed))
 
 
 def _no_catch(claimed: float, now: Decision) -> Document:

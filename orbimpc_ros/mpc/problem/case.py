@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -34,7 +34,7 @@ WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 
 @dataclass(frozen=True, eq=False)
 class Case(ByContent):
-    """A problem with a state and goals, to be solved once; ``problem, state, goals = case``.
+    """A problem with a state and goals, to be solved once.
 
     Attributes:
         problem: model, weights and constraints.
@@ -48,9 +48,10 @@ class Case(ByContent):
     goals: Array
     radius: float = 0.0
 
-    def __iter__(self) -> Iterator[Any]:
-        """Iterate over problem, state and goals."""
-        return iter((self.problem, self.state, self.goals))
+    @property
+    def known(self) -> tuple[Problem, State, Array]:
+        """Return problem, state and goals."""
+        return self.problem, self.state, self.goals
 
 
 def case_of(mapping: Any) -> Case:

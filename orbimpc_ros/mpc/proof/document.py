@@ -244,7 +244,7 @@ def refutation(sought: Case, trees: Sequence[ProofTree]) -> Document:
         sought: the problem, state, goals and the radius of a catch.
         trees: one; for catches, one for the end of each step from the first on.
     """
-    problem, state, goals = sought.problem, sought.state, sought.goals
+    problem, state, goals = sought.known
     refuted: dict[str, Any] = {'trees': [_plain_tree(each) for each in trees]}
     if sought.radius:
         refuted['radius'] = sought.radius

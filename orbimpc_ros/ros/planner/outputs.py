@@ -64,7 +64,7 @@ def values(decision: Decision) -> dict[str, object]:
         of_plan = {
             'nodes': plan.nodes,
             'speed_fraction': tuple(plan.speed_fraction.tolist()),
-            'margins': margins(*case, plan),
+            'margins': margins(*case.known, plan),
             'projection_distance': float(plan.projection_distance[1:].max()),
             'clearance': clearance(case.problem, case.state, plan.positions),
         }
@@ -96,7 +96,7 @@ def prices(decision: Decision) -> dict[str, float]:
     case, plan = decision.case, decision.plan
     if case is None or plan is None or plan.horizon > LONGEST:
         return {}
-    explanation = explained(*case, plan)
+    explanation = explained(*case.known, plan)
     if explanation.unexplained > ANOTHER_PLAN:
         return {}
     return {str(each): each.price for each in explanation.binding}
@@ -183,7 +183,7 @@ def _proofs(decision: Decision) -> Iterator[Document]:
     """Yield the proof of the plan's bound, and that of infeasibility or of no earlier catch."""
     case, plan = decision.case, decision.plan
     if case is not None and plan is not None and plan.proof.tree and plan.proof.lower_bound > 0.0:
-        yield certificate_of(*case, plan.proof)
+        yield certificate_of(*case.known, plan.proof)
     if decision.refutation is not None:
         yield decision.refutation
 
