@@ -83,7 +83,7 @@ def beside(problem, state, plan):
 
 def test_no_legal_trajectory_costs_less_than_the_bound(solved):
     """Tested on perturbations of the plan, small and large, that satisfy all limits."""
-    _, (problem, state, goals), _, plan = solved
+    (problem, state, goals), plan = solved.case.known, solved.plan
     rng, n = np.random.default_rng(7), problem.dimension
     first = problem.rotation_order  # at order 2 the state decides R_1, except its magnitude
     for _ in range(60):
@@ -125,7 +125,7 @@ def test_a_guess_leads_to_no_other_optimum(solved):
 
 
 def test_other_units_are_another_way_to_state_the_same(solved):
-    _, (problem, state, goals), _, plan = solved
+    (problem, state, goals), plan = solved.case.known, solved.plan
     units, x = Units.of(problem), coordinates(plan.rotations[1:])
     known = units.problem, units.state(state), units.lengths(goals)
     plain, scaled = trajectory_of(problem, state, goals, x), trajectory_of(*known, x)

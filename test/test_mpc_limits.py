@@ -58,7 +58,7 @@ def test_a_search_ends_with_what_is_enough_and_its_bound_holds():
             assert plan.lower_bound <= whole.objective * (1.0 + 1e-9)
             assert plan.objective >= whole.lower_bound * (1.0 - 1e-9)
             if plan.gap > 1e-4:  # the search has ended early
-                sooner[name] += plan.nodes < whole.nodes
+                sooner[name] += plan.proof.nodes < whole.proof.nodes
                 assert plan.objective <= settled if name == 'cost' else plan.lower_bound > settled
     assert min(sooner.values()) > 1
 

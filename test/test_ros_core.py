@@ -362,7 +362,7 @@ def test_in_lock_step_a_deadline_leaves_the_same_work_however_slow_the_machine_i
         driven = Driven(True, limits, **search, **BOXES)
         report = driven.tick(0.0)
         plan = driven.proved(report).plan
-        found.append((plan.objective, plan.lower_bound, plan.nodes))
+        found.append((plan.objective, plan.lower_bound, plan.proof.nodes))
         assert (plan.gap < 1e-6) == (deadline == 0.1)
     assert found[0] == found[1]
 

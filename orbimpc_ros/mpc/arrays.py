@@ -70,9 +70,9 @@ def whole(value: object, culprit: str, low: int, high: int) -> int:
     Raises:
         BadInput: not an integer or out of range.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
-    if not low <= value <= high:
+    if isinstance(value, bool) or not (
+        isinstance(value, (int, np.integer)) and low <= value <= high
+    ):
         raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
     return int(value)
 
@@ -89,12 +89,9 @@ def fields_of(
             raise BadInput.unknown(f'{culprit} field', str(name), allowed)
     for name in needed:
         if name not in value:
-            raise BadInput.stating(f'{culprit} field {name}', 'missing', _needs(tuple(needed)))
+            hint = f'needed: {", ".join(needed)}'
+            raise BadInput.stating(f'{culprit} field {name}', 'missing', hint)
     return value
-
-
-def _needs(names: tuple[str, ...]) -> str:
-    return f'all of {", ".join(names)} are needed' if names[1:] else f'{names[0]} is needed'
 
 
 def numbers_of(value: Any, culprit: str) -> Any:

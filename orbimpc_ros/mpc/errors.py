@@ -21,12 +21,13 @@ class BadInput(OrbimpcError, ValueError):
         culprit: the field, topic or file that carries the value.
         value: the value received.
         allowed: what would have been accepted.
+        text: the message; by default it is made of these.
     """
 
-    def __init__(self, culprit: str, value: object, allowed: str) -> None:
+    def __init__(self, culprit: str, value: object, allowed: str, text: str = '') -> None:
         self.culprit, self.value, self.allowed = culprit, value, allowed
         shown = _in_short(value if isinstance(value, str) else repr(value))
-        super().__init__(f'{culprit} is {shown}; allowed: {allowed}')
+        super().__init__(text or f'{culprit} is {shown}; allowed: {allowed}')
 
     @classmethod
     def choice(cls, culprit: str, value: object, words: Iterable[str]) -> BadInput:
@@ -39,9 +40,7 @@ class BadInput(OrbimpcError, ValueError):
     @classmethod
     def stating(cls, subject: str, problem: str, hint: str) -> BadInput:
         """Return an error that is not about a value: ``subject: problem; hint``."""
-        error = cls(subject, problem, hint)
-        error.args = (f'{subject}: {_in_short(problem)}; {hint}',)
-        return error
+        return cls(subject, problem, hint, f'{subject}: {_in_short(problem)}; {hint}')
 
     @classmethod
     def unknown(cls, kind: str, name: str, known: Iterable[str], where: str = '') -> BadInput:
@@ -58,10 +57,8 @@ class BadInput(OrbimpcError, ValueError):
         meant = ' or '.join(repr(each) for each in close)
         more = ', ...' if len(names) > LISTED else ''
         hint = f'did you mean {meant}?' if close else f'known: {", ".join(names[:LISTED])}{more}'
-        error = cls(name, f'no {kind}', hint)
         before = f'{where}: ' if where else ''
-        error.args = (f'{before}unknown {kind} {name!r}; {hint}',)
-        return error
+        return cls(name, f'no {kind}', hint, f'{before}unknown {kind} {name!r}; {hint}')
 
 
 def _in_short(text: str) -> str:

@@ -82,11 +82,6 @@ class Plan(Trajectory, Sealed):
         return claimed if self.proof.checked else min(0.0, claimed)
 
     @property
-    def nodes(self) -> int:
-        """Return the number of relaxations solved."""
-        return self.proof.nodes
-
-    @property
     def gap(self) -> float:
         """Return (objective - lower bound) / max(|objective|, 1e-5 cost units)."""
         return self._gap_to(self.lower_bound)
@@ -113,11 +108,6 @@ class Plan(Trajectory, Sealed):
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
         return sealed(np.linalg.norm(self.headings, axis=1))
-
-    @cached_property
-    def coordinates(self) -> Array:
-        """Return the coordinates of R_0..R_N, shape (N + 1, d)."""
-        return coordinates(self.rotations)
 
     @property
     def projection_distance(self) -> Array:
@@ -162,7 +152,7 @@ def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = No
     """
     if problem.rotation_order == 2:
         return None
-    x, limited = plan.coordinates, problem.dimension == 2 and problem.turns_are_angles
+    x, limited = coordinates(plan.rotations), problem.dimension == 2 and problem.turns_are_angles
     at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
     moved = _as_long(problem, x, interpolated(at, np.arange(0.0, len(x)), x), at)
     return followed(problem, state, moved) if limited else moved

@@ -92,7 +92,7 @@ def _file(path: Path, problem: str | None) -> Row:
 
 def _is_of(known: Any, case: Case) -> bool:
     """Return whether a certificate belongs to a case: problem, state and goals."""
-    made = document.statement(*case)
+    made = document.statement(*case.known)
     if 'refuted' in known:
         known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
         made = refutation(replace(case, radius=known['refuted'].get('radius', 0.0)), ())

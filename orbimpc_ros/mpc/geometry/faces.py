@@ -15,7 +15,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
 
-_GOLDEN = (1.0 + 5.0**0.5) / 2.0
+GOLDEN = (1.0 + 5.0**0.5) / 2.0
+# Face normals of cube, dodecahedron and icosahedron, up to signs, cyclic shifts and their size.
+SOLIDS = {6: [(0.0, 0.0, 1.0)], 12: [(0.0, 1.0, GOLDEN)],
+          20: [(1.0, 1.0, 1.0), (0.0, 1.0 / GOLDEN, GOLDEN)]}  # fmt: skip
 ROUND = 96  # corners of the polygon that is drawn for a circle
 CLOSE = 1e-9
 
@@ -32,26 +35,11 @@ def normals(dimension: int, faces: int) -> Array:
     if dimension == 2:
         angles = 2.0 * np.pi * np.arange(faces) / faces
         return sealed(np.column_stack([np.cos(angles), np.sin(angles)]))
-    points = {6: _axes, 12: _icosahedron_vertices, 20: _dodecahedron_vertices}[faces]()
-    return sealed(points / np.linalg.norm(points, axis=1, keepdims=True))
-
-
-def _axes() -> Array:
-    return np.concatenate([np.eye(3), -np.eye(3)])
-
-
-def _icosahedron_vertices() -> Array:
-    """Return the 12 vertices, which are the face normals of the dual dodecahedron."""
-    plane = [(0.0, a, b * _GOLDEN) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
-    return np.array([np.roll(p, shift) for shift in range(3) for p in plane])
-
-
-def _dodecahedron_vertices() -> Array:
-    """Return the 20 vertices, which are the face normals of the dual icosahedron."""
-    signs = (-1.0, 1.0)
-    cube = [(a, b, c) for a in signs for b in signs for c in signs]
-    plane = [(0.0, a / _GOLDEN, b * _GOLDEN) for a in signs for b in signs]
-    return np.array(cube + [tuple(np.roll(p, shift)) for shift in range(3) for p in plane])
+    signs = np.array([*itertools.product((-1.0, 1.0), repeat=3)])
+    points = [np.roll(signs * p, k, axis=1) for p in SOLIDS[faces] for k in range(3)]
+    once = dict.fromkeys(map(tuple, np.vstack(points).tolist()))  # -0.0 is the same key as 0.0
+    found = np.array([*once]) + 0.0
+    return sealed(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
 @lru_cache(maxsize=1)

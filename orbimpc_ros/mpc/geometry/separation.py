@@ -40,14 +40,14 @@ def _proposed(points: Array) -> Array:
     """Return a unit normal for every feature of the hulls, shape (..., C, n)."""
     if points.shape[-2] == 1:
         return _units(points, np.zeros_like(points))
-    first, second = _pairs(points.shape[-2])
+    first, second = _corners(points.shape[-2], 2)
     begin, way = points[..., first, :], points[..., second, :] - points[..., first, :]
     squared = np.maximum(np.einsum('...n,...n->...', way, way), np.finfo(float).tiny)
     share = np.clip(-np.einsum('...n,...n->...', begin, way) / squared, 0.0, 1.0)
     found = _units(begin + share[..., None] * way, way)
     if points.shape[-1] == 2 or points.shape[-2] < 3:
         return found
-    a, b, c = (points[..., list(corner), :] for corner in _triples(points.shape[-2]))
+    a, b, c = (points[..., each, :] for each in _corners(points.shape[-2], 3))
     across = _units(np.cross(b - a, c - a), a)
     return np.concatenate([found, across, -across], axis=-2)
 
@@ -70,12 +70,7 @@ def _across(ways: Array) -> Array:
     return np.cross(ways, axis)
 
 
-@lru_cache(maxsize=4)
-def _pairs(count: int) -> tuple[list[int], list[int]]:
-    pairs = list(itertools.combinations(range(count), 2))
-    return [i for i, _ in pairs], [j for _, j in pairs]
-
-
-@lru_cache(maxsize=4)
-def _triples(count: int) -> tuple[tuple[int, ...], ...]:
-    return tuple(zip(*itertools.combinations(range(count), 3), strict=True))
+@lru_cache(maxsize=8)
+def _corners(count: int, size: int) -> list[list[int]]:
+    """Return the first, second, ... corners of all edges (``size`` 2) or faces (3) of a hull."""
+    return [list(each) for each in zip(*itertools.combinations(range(count), size), strict=True)]

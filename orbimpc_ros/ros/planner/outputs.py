@@ -62,7 +62,7 @@ def values(decision: Decision) -> dict[str, object]:
     of_plan = NO_PLAN
     if plan is not None and case is not None:
         of_plan = {
-            'nodes': plan.nodes,
+            'nodes': plan.proof.nodes,
             'speed_fraction': tuple(plan.speed_fraction.tolist()),
             'margins': margins(*case.known, plan),
             'projection_distance': float(plan.projection_distance[1:].max()),
