@@ -129,7 +129,7 @@ def test_other_units_are_another_way_to_state_the_same(solved):
     units, x = Units.of(problem), coordinates(plan.rotations[1:])
     known = units.problem, units.state(state), units.lengths(goals)
     plain, scaled = trajectory_of(problem, state, goals, x), trajectory_of(*known, x)
-    assert units.cost * scaled.cost == pytest.approx(plain.cost, rel=1e-9)
+    assert units.cost * scaled.objective == pytest.approx(plain.objective, rel=1e-9)
     np.testing.assert_allclose(
         units.length * scaled.positions, plain.positions, atol=1e-9 * problem.maps.unit
     )

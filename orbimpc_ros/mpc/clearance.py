@@ -92,9 +92,7 @@ def _beyond_balls(balls: Sequence[Ball], away: Array) -> Array:
 def _beyond_a_face(each: Array, first: np.ndarray) -> Array:
     """Return the largest distance beyond a face that holds throughout a step, shape (N,) [m].
 
-    Args:
-        each: distances beyond all faces at the instants, shape (M + 1, 2 n).
-        first: indices of the instants at which steps begin, shape (N,).
+    Steps begin at the ``first`` instants, (N,), at which distances from all faces are (M + 1, 2 n).
     """
     begun = np.minimum.reduceat(each[:-1], first)
     ended = each[np.append(first[1:], len(each) - 1)]

@@ -68,11 +68,9 @@ def sphere(dimension: int, radius: float) -> Lines:
 
 
 def edges(outward: Array, distances: Array) -> Lines:
-    """Return the edges, shape (2, 3) each, of a polygon or solid.
+    """Return the edges, shape (2, 3), of a polygon or solid, given its faces' unit normals, (m, n).
 
-    Args:
-        outward: unit normals of its faces, shape (m, n).
-        distances: of the faces from the origin, shape (m,).
+    The distances of the faces are from the origin, shape (m,).
     """
     dimension = outward.shape[1]
     corners = _corners(outward, distances)

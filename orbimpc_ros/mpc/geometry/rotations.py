@@ -113,10 +113,8 @@ def nearest(matrix: Array) -> Array:
 def _all_thrust_aligned(matrices: Array, sizes: Array) -> Array:
     """Return the thrust-aligned rotations of matrices, shape (K, 3, 3), with headings of sizes.
 
-    Their first axes are R e1 / |R e1|, so that thrust |R e1| along them has the same effect as the
-    relaxed R; their rolls fit R best. With first axis a, the best second one maximises b.c2 + (a x
-    b).c3 over unit vectors b orthogonal to a, c2 and c3 being the other columns of R: it is along
-    c2 - (a.c2) a + c3 x a.
+    With the first axis a = R e1 / |R e1|, thrust |R e1| has the same effect as the relaxed R; the
+    second axis, along c2 - (a.c2) a + c3 x a, gives the roll that fits R best (2.4b).
     """
     headings, second, third = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
     axes = headings / sizes
@@ -152,14 +150,10 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def project_all(matrices: Array, first: Array, how: str) -> Array:
-    """Return rotations, shape (K, n, n), to which a sequence of points of conv SO(n) is projected.
+    """Return the rotations to which points of conv SO(n) are projected, each of shape (K, n, n).
 
-    Where a heading is undefined, the previous rotation is held.
-
-    Args:
-        matrices: points in order, shape (K, n, n).
-        first: the rotation before them, shape (n, n).
-        how: one of :data:`PROJECTIONS`.
+    They are the nearest or the thrust-aligned ones (2.4), :data:`PROJECTIONS`. Where a heading is undefined, the
+    previous rotation is held, ``first`` at the start.
     """
     sizes = _lengths(matrices[:, :, 0])
     defined = np.flatnonzero(sizes[:, 0] >= HEADING_UNDEFINED)
@@ -179,12 +173,7 @@ def _projected(matrices: Array, sizes: Array, how: str) -> Array:
 
 
 def turned_onto(rotation: Array, axis: Array) -> Array:
-    """Turn a rotation by the least angle that makes the unit vector ``axis`` its first column.
-
-    Args:
-        rotation: shape (n, n).
-        axis: the new first column, shape (n,).
-    """
+    """Turn a rotation, shape (n, n), by the least angle that makes a unit vector its first axis."""
     if len(axis) == 2:
         return _from_heading_2(axis)
     (a, b, c), (u, v, w) = rotation[:, 0].tolist(), axis.tolist()
@@ -219,9 +208,7 @@ def turned_within(unit: Array, wanted: Array, widest: float) -> Array:
 def carried(attitude: Array, headings: Array) -> Array:
     """Return |z_k| Q_k, shape (K, n, n), with Q_k turned from Q_{k-1} onto z_k, unless z_k = 0.
 
-    Args:
-        attitude: Q_0, shape (n, n).
-        headings: z_1..z_K, shape (K, n).
+    Q_0 is the ``attitude``, z_1..z_K the headings, shape (K, n).
     """
     sizes = np.linalg.norm(headings, axis=1)
     there = np.flatnonzero(sizes >= HEADING_UNDEFINED)

@@ -17,17 +17,12 @@ DEGENERATE = 1e-9  # distances from the origin that count as zero, relative to a
 
 
 def separation(points: Array) -> tuple[Array, Array]:
-    """Return for each set the unit normal n that maximises min_i n . P_i, and that value.
+    """Return for each set of points the unit normal n that maximises min_i n . P_i, and that value.
 
     If the origin is outside of the hull of the points, n is the direction to the nearest point of
     the hull, and the value its distance. That point is on an edge or, in space, on a face of the
-    hull of two to four points: each of them proposes a normal.
-
-    Args:
-        points: P_i of each set, shape (..., m, n), m <= 4.
-
-    Returns:
-        Normals, shape (..., n), and values, shape (...,).
+    hull of two to four points: each of them proposes a normal. Points have the shape (..., m, n),
+    m <= 4; normals (..., n), values (...).
     """
     proposed = _proposed(points)
     least = np.einsum('...cn,...mn->...cm', proposed, points).min(axis=-1)

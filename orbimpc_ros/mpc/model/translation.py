@@ -99,13 +99,8 @@ def controls(degree: int, step: float, positions: Array, velocities: Array) -> A
 
     A step of explicit Euler moves along a straight line, one that is integrated exactly along a
     curve of degree 2 or 3, determined by positions and velocities at its ends (Bernstein, Bezier).
-    It stays in the hull of its control points (docs/mathematics.md, 3.7).
-
-    Args:
-        degree: of the motion within a step, 1 to 3.
-        step: h [s].
-        positions: s_0..s_N, shape (N + 1, ...).
-        velocities: p_0..p_N, shape (N + 1, ...).
+    It stays in the hull of its control points (3.7). Those are s_0..s_N and p_0..p_N, shape
+    (N + 1, ...) each.
     """
     begin, end = positions[:-1], positions[1:]
     leave, arrive = step / degree * velocities[:-1], step / degree * velocities[1:]

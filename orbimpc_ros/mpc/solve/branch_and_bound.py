@@ -105,7 +105,7 @@ class BranchAndBound:
 
     def _better(self, request: Request, x: Array) -> Found:
         """Return a path in a plane or the guess: without a search in space, neither has a bound."""
-        cost = trajectory_of(self.problem, request.state, request.goals, x).cost
+        cost = trajectory_of(self.problem, request.state, request.goals, x).objective
         if request.guess is not None and request.guess.cost <= cost:
             x, cost = request.guess.x, request.guess.cost
         return Found(x, cost, -np.inf, 1, ALONE)
