@@ -152,8 +152,8 @@ def _cross(a: Array, b: Array) -> Array:
 def project_all(matrices: Array, first: Array, how: str) -> Array:
     """Return the rotations to which points of conv SO(n) are projected, each of shape (K, n, n).
 
-    They are the nearest or the thrust-aligned ones (2.4), :data:`PROJECTIONS`. Where a heading is undefined, the
-    previous rotation is held, ``first`` at the start.
+    How is one of :data:`PROJECTIONS`. Where a heading is undefined, the previous rotation is held,
+    ``first`` at the start.
     """
     sizes = _lengths(matrices[:, :, 0])
     defined = np.flatnonzero(sizes[:, 0] >= HEADING_UNDEFINED)
