@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import fields
 from typing import Any
 
@@ -21,15 +23,11 @@ def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
     Raises:
         BadInput: not numbers, another shape, NaN or infinite.
     """
-    wanted = f'{"x".join(map(str, shape))} finite numbers'
-    try:
+    with suppress(TypeError, ValueError, OverflowError):
         array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise BadInput(culprit, value, wanted) from None
-    if array.shape != shape or not np.isfinite(array).all():
-        raise BadInput(culprit, value, wanted)
-    array.setflags(write=False)
-    return array
+        if array.shape == shape and np.isfinite(array).all():
+            return sealed(array)
+    raise BadInput(culprit, value, f'{"x".join(map(str, shape))} finite numbers')
 
 
 def sealed(array: Array) -> Array:
@@ -41,8 +39,8 @@ def sealed(array: Array) -> Array:
 def number(
     value: object,
     culprit: str,
-    low: float = -np.inf,
-    high: float = np.inf,
+    low: float = -math.inf,
+    high: float = math.inf,
     *,
     above: bool = False,
 ) -> float:
@@ -51,28 +49,24 @@ def number(
     Raises:
         BadInput: not a number, not finite or out of range.
     """
-    first = '(' if above or low == -np.inf else '['  # infinity itself is not allowed
-    allowed = f'a number in {first}{low:g}, {high:g}{")" if high == np.inf else "]"}'
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise BadInput(culprit, value, allowed)
-    try:
-        result = float(value)
-    except OverflowError:  # an integer beyond the range of floats
-        raise BadInput(culprit, value, allowed) from None
-    if not np.isfinite(result) or not low <= result <= high or (above and result == low):
-        raise BadInput(culprit, value, allowed)
-    return result
+    with suppress(OverflowError):  # an integer beyond the range of floats
+        if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
+            result = float(value)
+            if math.isfinite(result) and low <= result <= high and not (above and result == low):
+                return result
+    first = '(' if above or low == -math.inf else '['  # infinity itself is not allowed
+    last = ')' if high == math.inf else ']'
+    raise BadInput(culprit, value, f'a number in {first}{low:g}, {high:g}{last}')
 
 
-def whole(value: object, culprit: str, low: int, high: int) -> int:
+def whole(value: Any, culprit: str, low: int, high: int) -> int:
     """Return ``value`` as an integer in [low, high].
 
     Raises:
         BadInput: not an integer or out of range.
     """
-    if isinstance(value, bool) or not (
-        isinstance(value, (int, np.integer)) and low <= value <= high
-    ):
+    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not (is_whole and low <= value <= high):
         raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
     return int(value)
 
