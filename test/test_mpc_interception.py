@@ -30,7 +30,6 @@ from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
-from orbimpc_ros.mpc.plan import command_of
 from orbimpc_ros.mpc.problem import (
     Approach,
     Ball,
@@ -288,9 +287,10 @@ def test_a_goal_is_where_the_vehicle_ends_that_flies_the_plan():
         known = np.tile(goal, (5, 1)), None, lambda times, at=goal: np.tile(at, (len(times), 1))
         tick = Stepped(rope, capture_radius=radius).tick(odometry([0, 0], 0.0, 1.0), *known)
         vehicle = started(plant, 0.0, 1.0)
-        for step in range(tick.plan.horizon):
-            told = command_of(tick.problem, tick.state, tick.plan, step)
-            vehicle = flown(plant, vehicle, told.speed_fraction, told.body_rate, tick.problem.step)
+        step, turned = tick.problem.step, tick.plan.projected
+        legs = zip(turned[:-1], turned[1:], tick.plan.speed_fraction[1:], strict=True)
+        for before, after, share in legs:
+            vehicle = flown(plant, vehicle, share, log(before.T @ after) / step, step)
         gap = vehicle.position - tick.plan.positions[-1]
         np.testing.assert_allclose(defect(tick.problem, tick.state, tick.plan, 0.0), gap, atol=1e-6)
         if not np.isnan(tick.catch.time):

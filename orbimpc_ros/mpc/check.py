@@ -65,7 +65,7 @@ def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator
 
 
 def _dynamics_violations(problem: Problem, state: State, plan: Plan) -> Iterator[str]:
-    decided, length = [state.rotation], _length_tolerance(problem, state)
+    decided, length = [state.rotation], _length_tolerance(problem, state.position)
     if problem.rotation_order == 2:
         if state.coasted is None:
             decided.append(state.rotation + problem.step * state.rotation_rate)
@@ -108,10 +108,9 @@ def _coasting_violations(problem: Problem, coasted: Array, plan: Plan) -> Iterat
         yield f'R_1 thrusts backwards by {-fraction:.2g}'
 
 
-def _length_tolerance(problem: Problem, state: State) -> float:
-    """Return the tolerance of positions [m]."""
-    farthest = max(map(abs, state.position.tolist()))
-    return TOLERANCE * problem.maps.unit + ROUNDING * farthest
+def _length_tolerance(problem: Problem, place: Array) -> float:
+    """Return the tolerance of positions near a place, shape (n,) [m]."""
+    return TOLERANCE * problem.maps.unit + ROUNDING * max(map(abs, place.tolist()))
 
 
 # --- limits
@@ -135,7 +134,7 @@ def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[st
 
 
 def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
-    length = _length_tolerance(problem, state)
+    length = _length_tolerance(problem, state.position)
     for name, least in margins(problem, state, goals, plan).items():
         if least < -(TOLERANCE if name in SHARES else length):
             yield f'{name} violated by {-least:.2g}'
@@ -227,8 +226,8 @@ def terminal_violations(problem: Problem, goals: Array, plan: Trajectory) -> lis
     miss = float(np.abs(plan.positions[-1] - goals[-1]).max())
     if problem.inertial:
         miss = max(miss, problem.step * float(np.abs(plan.velocities[-1]).max()))
-    allowed = TOLERANCE * problem.maps.unit + ROUNDING * float(np.abs(goals[-1]).max())
-    return [f'terminal constraint missed by {miss:.2g}'] if miss > allowed else []
+    missed = miss > _length_tolerance(problem, goals[-1])
+    return [f'terminal constraint missed by {miss:.2g}'] if missed else []
 
 
 # --- proof

@@ -208,22 +208,20 @@ def stop(rotation: Array) -> Command:
     return Command(0.0, np.zeros(1 if len(rotation) == 2 else 3), np.array(rotation))
 
 
-def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Command:
-    """Return the command for step k of a checked plan, in 0..N-1.
+def command_of(problem: Problem, state: State, plan: Plan) -> Command:
+    """Return the command for the first step of a checked plan.
 
-    Rotation order 1: body rate log(Q_k^T Q_{k+1})/h. Order 2: the present body rate already carries
-    Q_k to Q_{k+1} in this step, so the rate from its end on is log(Q_{k+1}^T Q_{k+2})/h. The rate
-    never exceeds ``max_rate``. In the plane a floor ensures this for plans, too; otherwise (without
+    By (7.2a): at rotation order 2 the present body rate already carries Q_0 to Q_1 in this step, so
+    that the rate from its end on is commanded. The rate never exceeds ``max_rate``. In the plane a floor ensures this for plans, too; otherwise (without
     a floor if a short chord spans a wide angle, in space because of rolls) the rate is cut, and the
     commanded rotation is the one then reached. Without a floor the speed or thrust is then the
     planned one's component along that axis: at full speed the vehicle would miss the turn, and
     could circle its goal for ever. Its change of speed remains limited, though.
     """
-    first = step + problem.rotation_order - 1
+    first = problem.rotation_order - 1
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
-    planned_speed = float(plan.speed_fraction[step + 1])
     # Rounding may leave a plan just below its floor; commands must not be.
-    fraction = min(1.0, max(problem.least_speed, planned_speed))
+    fraction = min(1.0, max(problem.least_speed, float(plan.speed_fraction[1])))
     rate = log(start.T @ end) / problem.step
     size = math.sqrt(rate @ rate)
     if problem.max_rate > 0.0 and size > problem.max_rate:
@@ -231,6 +229,6 @@ def command_of(problem: Problem, state: State, plan: Plan, step: int = 0) -> Com
         planned, end = end, start @ exp(rate * problem.step)
         if problem.rotation_order == 1 and not problem.floor.exists:
             along = fraction * min(1.0, max(0.0, float(planned[:, 0] @ end[:, 0])))
-            before = entry_speed(problem, state) if step == 0 else float(plan.speed_fraction[step])
-            fraction = max(along, min(fraction, before - problem.speed_change))
+            slowest = entry_speed(problem, state) - problem.speed_change
+            fraction = max(along, min(fraction, slowest))
     return Command(fraction, rate, np.array(end))
