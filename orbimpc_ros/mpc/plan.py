@@ -209,14 +209,14 @@ def stop(rotation: Array) -> Command:
 
 
 def command_of(problem: Problem, state: State, plan: Plan) -> Command:
-    """Return the command for the first step of a checked plan.
+    """Return the command for the first step of a checked plan (7.2a).
 
-    By (7.2a): at rotation order 2 the present body rate already carries Q_0 to Q_1 in this step, so
-    that the rate from its end on is commanded. The rate never exceeds ``max_rate``. In the plane a floor ensures this for plans, too; otherwise (without
-    a floor if a short chord spans a wide angle, in space because of rolls) the rate is cut, and the
-    commanded rotation is the one then reached. Without a floor the speed or thrust is then the
-    planned one's component along that axis: at full speed the vehicle would miss the turn, and
-    could circle its goal for ever. Its change of speed remains limited, though.
+    At rotation order 2 the present body rate already carries Q_0 to Q_1: commanded is the rate from
+    then on. It never exceeds ``max_rate``. In the plane a floor ensures this for plans, too; else
+    (without a floor if a short chord spans a wide angle, in space because of rolls) the rate is
+    cut, and the commanded rotation is the one then reached. Without a floor the speed or thrust is
+    then the planned one's component along that axis: at full speed the vehicle would miss the turn,
+    and could circle its goal for ever. Its change of speed remains limited, though.
     """
     first = problem.rotation_order - 1
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
