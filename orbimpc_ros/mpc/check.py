@@ -71,7 +71,7 @@ def _dynamics_violations(problem: Problem, state: State, plan: Plan) -> Iterator
             decided.append(state.rotation + problem.step * state.rotation_rate)
         else:
             yield from _coasting_violations(problem, state.coasted, plan)
-    positions, velocities = _rolled_out(problem, state, plan.headings)
+    positions, velocities = _rolled_out(problem, state, plan.rotations[:, :, 0])
     for name, rolled, planned, allowed in (
         ('rotations', np.array(decided), plan.rotations[: len(decided)], TOLERANCE),
         ('positions', positions, plan.positions, length),
@@ -123,7 +123,7 @@ def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[st
     step), ``approach`` and ``tilt``; for ``max_rate`` an angle in a step [rad] with a floor, and a
     share of full speed without; for obstacles, hazards and ``glide_slope`` lengths [m].
     """
-    steps = step_margins(problem, state, goals, plan.headings, plan.positions[1:])
+    steps = step_margins(problem, state, goals, plan.rotations[:, :, 0], plan.positions[1:])
     found = {name: float(each.min()) for name, each in steps.items()}
     found['hull'] = float(margin(plan.rotations[1:]).min())
     if problem.boxes:
@@ -150,7 +150,7 @@ def step_margins(
     """
     found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        outward = problem.floor.normals(problem.dimension)
+        outward = problem.floor_normals
         above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
         found['floor'] = above - problem.floor.fraction
     if problem.max_rate:
@@ -264,7 +264,7 @@ def _objective(problem: Problem, state: State, goals: Array, plan: Plan) -> floa
 
 def _flown(problem: Problem, plan: Plan) -> float:
     """Return the sum of the steps' speed fractions: at their start, or for chords at both ends."""
-    sizes = _sizes(plan.headings)
+    sizes = _sizes(plan.rotations[:, :, 0])
     _, push, follow, _ = step_of(problem.translation, problem.step, problem.forward)
     late = float(follow[-1] / (push[-1] + follow[-1]))
     return float((1.0 - late) * sizes[:-1].sum() + late * sizes[1:].sum())
