@@ -173,7 +173,7 @@ def test_a_flight_catches_between_its_steps_where_it_flew():
     assert caught.captured
 
 
-LONG = 10_000.0  # [s] of a long series
+LONG = 4_000.0  # [s] of a long series
 
 
 def series(times, memory=3.0, seed=5):

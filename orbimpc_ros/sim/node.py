@@ -28,7 +28,6 @@ APART = 0.01  # [s] lock-step with faults: between goals and odometry, for DDS t
 RESEND = 0.5  # [s] lock-step: resend without an answer; first messages may be lost
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
 SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
-SHORTEST_TIMEOUT = 1.5  # steps: the shortest timeouts of a planner
 NO_ANSWER = (
     'an answer to the odometry on cmd_vel: it needs a planner with trigger: odom (with timer, '
     'planner and simulator wait for each other); see its /diagnostics'
@@ -54,11 +53,7 @@ class LockStep(FlightSimulation):
             node.create_subscription(Clock, '/clock', node.at_work(self._on_clock), qos(DEPTH))
         node.every(LOOK, self.look)
         if settings.rate > 0.0:
-            took = settings.model.step / settings.rate
-            node.every(took, self._ask)
-            if settings.rate <= 1.0 / SHORTEST_TIMEOUT:
-                wanted = f"set the planner's odom_timeout and goal_timeout to more than {took:g} s"
-                node.get_logger().warning(f'a step takes {took:g} s at this rate: {wanted}')
+            node.every(settings.model.step / settings.rate, self._ask)
 
     def start(self) -> None:
         """Start as soon as planner and readers are present."""
@@ -177,10 +172,9 @@ class RealTime(FlightSimulation):
 
     def start(self) -> None:
         """Wait for subscribers, then for a first command."""
-        self._begins = False
         self._until = -np.inf  # when the command in force expires, on the steady clock [s]
         self._ends = -np.inf  # when it would have expired without the loss of liveliness [s]
-        self._begun = self.node.steady_now()  # start of this step, on the steady clock [s]
+        self._begun = -np.inf  # start of this step, on the steady clock [s]; without one, infinite
         self._latched = False
         self._wait()
 
@@ -225,10 +219,10 @@ class RealTime(FlightSimulation):
 
     def on_time(self) -> None:
         """Fly a step, unless there has been no command yet, and publish the new state."""
-        self._begins = self._begins or not self.awaited(planner=False)
-        if self.finished or not self._begins:
-            return
-        if self._until > -np.inf:
+        if self._begun == -np.inf:
+            if self.awaited(planner=False):
+                return
+        elif self._until > -np.inf and not self.finished:
             self.fly(self._until - self._begun)
         if self.finished:
             return

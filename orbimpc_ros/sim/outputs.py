@@ -34,7 +34,6 @@ from orbimpc_ros.sim.vehicle import Vehicle, between, measured
 from orbimpc_ros.sim.world import Flight
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's draws
-CHANCES = ('dropout', 'reorder', 'duplicate', 'nan')  # columns
 TREE = find_spec('tf2_msgs') is not None  # the PyPI wheels of ROS have none
 Seen = Odometry | GoalObservation  # a message to the planner, at the true time of measurement
 
@@ -43,7 +42,9 @@ class View:
     """The messages of a flight that reach its planner at each tick."""
 
     def __init__(self, settings: SimSettings) -> None:
-        self.faults, self._seed = settings.faults, settings.seed
+        faults, self._seed = settings.faults, settings.seed
+        self.faults = faults
+        self._shares = np.array([faults.dropout, faults.reorder, faults.duplicate, faults.nan])
         self._past: deque[Vehicle] = deque()  # from what odometry shows to the present
         self._held_back: list[Seen] = []
 
@@ -65,7 +66,7 @@ class View:
 
     def command_lost(self, ticks: int) -> bool:
         """Return True if the command that answers a tick is lost."""
-        return 'dropout' in self._happening(_draws(self._seed, ticks)[0][COMMAND])
+        return bool(_draws(self._seed, ticks)[0][COMMAND, 0] < self.faults.dropout)
 
     def _delayed(self, flight: Flight) -> Vehicle:
         """Return the vehicle as it was ``delay`` ago; before the start, its initial state."""
@@ -79,20 +80,16 @@ class View:
 
     def _through(self, chances: Array, sent: Seen) -> list[Seen]:
         """Return the copies of a message that arrive now: zero, one or two."""
-        happening = self._happening(chances)
-        if 'dropout' in happening:
+        lost, late, twice, spoilt = chances < self._shares
+        if lost:
             return []
-        if 'nan' in happening:
+        if spoilt:
             sent = replace(sent, position=np.full_like(sent.position, np.nan))
-        copies = [sent] * (2 if 'duplicate' in happening else 1)
-        if 'reorder' in happening:
+        copies = [sent] * (2 if twice else 1)
+        if late:
             self._held_back += copies
             return []
         return copies
-
-    def _happening(self, chances: Array) -> set[str]:
-        drawn = zip(CHANCES, chances, strict=True)
-        return {fault for fault, chance in drawn if chance < getattr(self.faults, fault)}
 
 
 def _draws(seed: int, ticks: int) -> tuple[Array, Array, Array]:
