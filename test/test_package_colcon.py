@@ -136,7 +136,8 @@ def test_a_wheel_carries_configuration_and_launch_files(tmp_path):
     )
     assert built.returncode == 0, built.stdout + built.stderr
     (wheel,) = wheels.iterdir()
-    placed = run(*pip, 'install', '--no-deps', '--no-index', '--target', site, wheel, cwd=tmp_path)
+    plain = ('--no-deps', '--no-index', '--no-compile')
+    placed = run(*pip, 'install', *plain, '--target', site, wheel, cwd=tmp_path)
     assert placed.returncode == 0, placed.stdout + placed.stderr
     script = (
         'from orbimpc_ros.tool import settings; print(settings.config("retrieval.yaml"))\n'

@@ -145,6 +145,6 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
 def test_a_node_warns_where_other_machines_may_join(launch, monkeypatch, place, peers, warnings):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', place)
     monkeypatch.setenv('ROS_STATIC_PEERS', peers)
-    node = launch('planner')
+    node = launch('sim')  # which starts more quickly
     wait_for(lambda: 'waits for' in node.output)
     assert node.output.count('open to') == warnings

@@ -119,10 +119,10 @@ def test_the_time_that_a_planner_takes_to_be_configured_is_not_counted(launch, o
     """The first start compiles for minutes on a slow computer."""
     observer.node.create_publisher(TwistStamped, 'cmd_vel', qos())
     observer.node.create_publisher(TransitionEvent, '~/transition_event', qos())
-    sim = launch('sim', {'wait_timeout': 5.0})
+    sim = launch('sim', {'wait_timeout': 3.0})
     awaited = f'waits for {observer.node.get_fully_qualified_name()} to be configured'
     observer.until(lambda: awaited in sim.output, 'the simulator to say so')
-    observer.spin(6.0)
+    observer.spin(4.0)
     observer.listen(PoseStamped, 'goal')
     assert sim.wait() == 1
     assert re.search(r'waited \d+ s in vain for subscribers of odom', sim.output)
@@ -133,7 +133,7 @@ def test_lock_step_with_a_planner_on_a_timer_ends_and_says_why(launch, observer)
     # Its period is longer than the simulator's step: otherwise it might keep up by chance.
     launch('planner', LOCKSTEP | {'trigger': 'timer', 'step': 10.0})
     observer.until_connected('cmd_vel')
-    sim = launch('sim', {'wait_timeout': 8.0})
+    sim = launch('sim', {'wait_timeout': 5.0})
     assert sim.wait() == 1, sim.output
     assert 'in vain for an answer to the odometry on cmd_vel' in sim.output
     assert 'trigger: odom' in sim.output

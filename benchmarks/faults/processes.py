@@ -108,7 +108,7 @@ def _soak(nodes: str, long: bool) -> Iterator[Outcome]:
             harness.until_planned()
             harness.spin(120.0 if long else 2.0)
             settled = resident(harness.planner.pid)
-            harness.spin(600.0 if long else 4.0)
+            harness.spin(600.0 if long else 2.0)
             grown = (resident(harness.planner.pid) - settled) / MEBIBYTE
         yield Outcome('1 kHz', harness.monitor.broken(begin), max(0.0, grown))
 
