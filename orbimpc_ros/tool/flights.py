@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from functools import lru_cache
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
@@ -27,7 +26,6 @@ from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.parameters.planner import planner_settings
-from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import Flight
@@ -41,7 +39,6 @@ PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
 GLANCE = 0.2  # [s] between checks for a signal
 OURS = 'orbitope'  # this package's controller
 BASELINES = 'benchmarks.baselines'  # a folder of the repository, which is not installed
-_planner_of = lru_cache(maxsize=1)(planner_of)  # whose construction is slow
 
 
 def flown(
@@ -63,10 +60,8 @@ def flown(
         ``longest_ms``, the processor time of a tick; and the row of :func:`_of_way`.
     """
     simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
-    if controller == OURS:
-        pilot: Any = _planner_of(given)[1]
-        pilot.reset()
-    else:
+    pilot: Any = None  # this package's planner
+    if controller != OURS:
         pilot = baselines().baseline_named(controller, given, study)
     # Ticks are measured in processor time, because other processes may load the machine.
     planner = OfflinePlanner(given, clock=time.thread_time, planner=pilot)
