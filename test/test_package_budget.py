@@ -5,12 +5,12 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_120,
+    'orbimpc_ros': 30_115,
     'orbimpc_ros/mpc': 15_723,
     'orbimpc_ros/loop': 3_407,
     'orbimpc_ros/ros': 4_221,
     'orbimpc_ros/sim': 2_435,
-    'orbimpc_ros/tool': 4_207,
+    'orbimpc_ros/tool': 4_202,
     'benchmarks': 3_472,
     'test': 17_894,
 }
