@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.arithmetic import as_fractions, coarse, generic, slack
 from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, TIED, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import pressed, pulled, slid, towed
-from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, rim, size_of
+from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, size_of
 from orbimpc_ros.mpc.proof.splits import GONE, HELD, begin, part_of
 from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, EMPTY, KIND, LEAF, ROW
 
@@ -60,7 +60,7 @@ class Work(NamedTuple):
         vectors: a normal, and the remainder of a slope, shape (2, d or 3).
         matrix: shape (4, 4).
         squares: what is left of the Hessian of the cost, and two rows, shape (N + 2, N).
-        ends: the ends of the last sectors in the plane, as :func:`rim` sets them, shape (N, 2, 4).
+        ends: the ends of the last sectors in the plane, as :func:`rim` sets them, shape (N, 2, 5).
         units: for the Hessian.
     """
 
@@ -234,12 +234,9 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
             return value, False
     for k in range(count):
         length, kept = (zero, zero) if empty else (stated.costs.weights[1, k + 1], shor[k])
-        if k == 0 and stated.decided:
+        if k < stated.order - 1:
             more, terms = _of_decided(stated, known[1][count], slopes[0], length, kept)
         else:
-            if stated.n == 2 and known[0][k] >= 0:
-                rim(stated.sets, known[1][k, 0], work.ends[k, 0])
-                rim(stated.sets, known[1][k, 1], work.ends[k, 1])
             more, terms = _of_step(stated, known, k, tree, leaf, length, kept, work)
         value, size = value + more, size + terms
     return value - slack(size) * (count + 4), True
@@ -454,5 +451,5 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     square, path = zeros(count, count), zeros(4, count + 1, count)
     units = Units(zeros(6, count), zeros(count, count), one, path, square)
     flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
-    squares, ends = zeros(count + 2, count), zeros(count, 2, 4)
+    squares, ends = zeros(count + 2, count), zeros(count, 2, 5)
     return Work(flown, slopes, vectors, zeros(4, 4), squares, ends, units)

@@ -72,23 +72,24 @@ def in_cone(g, axis, cosine, sine, n):
 
 @generic
 def rim(sets, angle, end):
-    """Set the end of a sector: its angle, cosine and sine, and the polygonal floor's speed there.
+    """Set the end of a sector: its angle, cosine and sine; a polygonal floor's speed, and its face.
 
-    A sector often has an end in common with the one before, so that it is known.
+    Faces are counted from 0, at their middles. A sector often has an end in common with the one
+    before, so that it is known.
     """
     if end[0] == angle and (end[1] != 0 or end[2] != 0):
         return
     end[0], (end[1], end[2]) = angle, direction(angle)
-    if sets.polygon > 0:
-        share = sets.full / sets.polygon
-        face = direction(share * math.floor((2 * angle / share + 1) / 2))
+    if sets.share > 0:
+        end[4] = angle / sets.share
+        face = direction(sets.share * math.floor((2 * end[4] + 1) / 2))
         end[3] = sets.least / (end[1] * face[0] + end[2] * face[1])
 
 
 @generic
-def in_sector(g, low, high, ends, sets):
-    """Return the least g . (cos, sin) over the directions of a sector."""
-    size, (_, a, b, _), (_, c, d, _) = size_of(g, 2), ends[0], ends[1]
+def in_sector(g, size, ends, sets):
+    """Return the least g . (cos, sin) over the directions of a sector; g has this size."""
+    (low, a, b, _, _), (high, c, d, _, _) = ends
     off, width = -TOLERANCE * slack(size), high - low
     after, before = b * g[0] - a * g[1] >= off, c * g[1] - d * g[0] >= off  # downhill
     if 2 * width > sets.full:
@@ -99,35 +100,32 @@ def in_sector(g, low, high, ends, sets):
 
 
 @generic
-def nearest_floor(low, high, ends, sets):
+def nearest_floor(ends, sets):
     """Return the least speed of a polygonal floor in a sector."""
-    share = sets.full / sets.polygon
-    if math.floor(high / share) >= math.ceil(low / share) or high - low >= share:
+    (low, _, _, first, begun), (high, _, _, last, ended) = ends
+    if math.floor(ended) >= math.ceil(begun) or high - low >= sets.share:
         return sets.least
-    return min(ends[0][3], ends[1][3])
+    return min(first, last)
 
 
 @generic
-def over_polygon(g, along, known, k, slowest, length, curve, sets):
+def over_polygon(g, along, known, k, speeds, length, curve, sets):
     """Return a bound over a step's sector beyond a polygonal floor; see :func:`over_stage`.
 
-    A linear function is least on the rim, or at an end or a corner of the floor; on the rim if it
-    is not positive there, as in wide sectors, unless a cone leaves only directions uphill.
+    A linear function that is positive on the rim, as it can be in narrow sectors or if a cone
+    leaves only directions uphill, is least there, or at an end or a corner of the floor.
     """
-    (low, high), ends, fastest = known[1][k], known[3][k], known[1][len(known[3]) + k, 1]
-    share, best = sets.full / sets.polygon, over_speeds(along + length, curve, slowest, fastest)
+    ends, share, best = known[3][k], sets.share, along * speeds[1]
+    low, high = ends[0, 0], ends[1, 0]
     if length != 0 or curve != 0:
         middle = share * round((low + high) / (2 * share))
         if max(middle - low, high - middle) - share / 2 > sets.narrow:  # beyond several faces
-            return best
+            return over_speeds(along + length, curve, speeds[0], speeds[1])
         face, least = direction(middle), sets.least - 4 * sets.narrow
-        return over_face(g, along, face, least, (slowest, fastest), length, curve, 2)
-    if along <= 0:
-        return best
-    best = along * fastest
+        return over_face(g, along, face, least, speeds, length, curve, 2)
     for end in ends:
         best = min(best, (g[0] * end[1] + g[1] * end[2]) * end[3])
-    first, last = math.ceil((2 * low / share - 1) / 2), math.floor((2 * high / share - 1) / 2)
+    first, last = math.ceil((2 * ends[0, 4] - 1) / 2), math.floor((2 * ends[1, 4] - 1) / 2)
     for i in range(first, last + 1):
         x, y = direction((2 * i + 1) * share / 2)
         outward = sets.least / direction(share / 2)[0]
@@ -199,12 +197,15 @@ def over_orbitope(g, matrix):
 
 
 @generic
-def in_part(sets, known, k, g, n):
+def in_part(sets, known, k, g, size, n):
     """Return the least g . u over directions u in the sector of step k, or around its patch."""
     if known[0][k] < 0 or (n == 3 and len(sets.faces) > 0):
-        return -size_of(g, n)
+        return -size
     if n == 2:
-        return in_sector(g, known[1][k, 0], known[1][k, 1], known[3][k], sets)
+        (low, high), ends = known[1][k], known[3][k]
+        rim(sets, low, ends[0])
+        rim(sets, high, ends[1])
+        return in_sector(g, size, ends, sets)
     axis, cosine, sine = about(known[2][k])
     return in_cone(g, axis, cosine, sine, 3)
 
@@ -248,32 +249,32 @@ def over_stage(sets, known, k, g, length, curve, n):
         curve: a weight.
         n: dimension.
     """
-    part, low, high = known[0][k], known[1][k, 0], known[1][k, 1]
-    slowest, fastest = known[1][len(known[3]) + k, 0], known[1][len(known[3]) + k, 1]
-    along, linear, solid = (
-        in_part(sets, known, k, g, n),
-        length == 0 and curve == 0,
-        len(sets.faces),
-    )
-    best = -(size_of(g, n) + abs(length) + abs(curve)) * (1 + fastest * fastest)
-    if sets.polygon > 0 and part >= 0:
-        slowest = max(slowest, min(fastest, nearest_floor(low, high, known[3][k], sets)))
+    part, solid = known[0][k], len(sets.faces) > 0
+    slowest, fastest = known[1][len(known[3]) + k]
+    size, linear = size_of(g, n), length == 0 and curve == 0
+    along = in_part(sets, known, k, g, size, n)
+    best = -(size + abs(length) + abs(curve)) * (1 + fastest * fastest)
+    if sets.share > 0 and part >= 0:
+        slowest = max(slowest, min(fastest, nearest_floor(known[3][k], sets)))
     for q in range(len(sets.cone_step)):
         if sets.cone_step[q] == k:
             cone = sets.cones[q]
             within = in_cone(g, cone, cone[n], cone[n + 1], n)
             along = max(along, within)
-            if part >= 0 and n == 3 and solid == 0:
+            if part >= 0 and n == 3 and not solid:
                 along = max(along, in_both(g, cone, known[2][k]))
             if linear:
                 slow = min(fastest, max(slowest, cone[n + 2]))
                 best = max(best, over_speeds(within, curve, slow, fastest))
-    best = max(best, over_speeds(along + length, curve, slowest, fastest))
-    if solid > 0 and part >= 0:
-        face, speeds = sets.faces[part], (slowest, fastest)
+    best, speeds = (
+        max(best, over_speeds(along + length, curve, slowest, fastest)),
+        (slowest, fastest),
+    )
+    if solid and part >= 0:
+        face = sets.faces[part]
         best = max(best, over_face(g, along, face, sets.least, speeds, length, curve, n))
-    if sets.polygon > 0 and part >= 0:
-        best = max(best, over_polygon(g, along, known, k, slowest, length, curve, sets))
+    if sets.share > 0 and part >= 0 and (along > 0 or not linear):
+        best = max(best, over_polygon(g, along, known, k, speeds, length, curve, sets))
     return best
 
 

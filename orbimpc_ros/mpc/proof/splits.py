@@ -89,7 +89,7 @@ def _aimed(stated, part, span):
     """Cut the last heading's sector to the approach; return whether the region is not empty."""
     root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
     k = count - 1
-    if root.aside < 0 or (k == 0 and stated.decided):
+    if root.aside < 0 or k < stated.order - 1:
         return True
     low, high = root.aim - root.aside, root.aim + root.aside
     if part[k] != WHOLE:
@@ -143,7 +143,7 @@ def _is_split_right(stated, node, at, part, low, high):
     kind, c, parts, n, sets = node[KIND], node[CHOICE], node[CHILDREN], stated.n, stated.sets
     extents, count = stated.bodies.extents, stated.root.span.shape[1]
     body, within, whole = c // count - 2, parts == 2 and low <= at <= high, part == WHOLE
-    if not stated.decided <= c < (2 + len(extents)) * count:
+    if not stated.order - 1 <= c < (2 + len(extents)) * count:
         return False
     if body == -1:
         return kind == SPEED and within

@@ -153,7 +153,7 @@ class Sets(NamedTuple):
 
     Attributes:
         least: the floor's share of full speed; for a polygon or solid, the distance of its faces.
-        polygon: number of faces of a polygon in the plane; 0 without.
+        share: angle between the normals of a polygon in the plane [rad]; 0 without.
         faces: normals of the faces of a solid in space, shape (F, n).
         cone_step: heading 0..N-1 of each cone, shape (Q,).
         cones: their axes, unit vectors; cosine and sine of their angles, and their least speeds,
@@ -163,7 +163,7 @@ class Sets(NamedTuple):
     """
 
     least: Number
-    polygon: int
+    share: Number
     faces: Rows
     cone_step: np.ndarray
     cones: Rows
@@ -213,12 +213,14 @@ class Bodies(NamedTuple):
 
 
 class Stated(NamedTuple):
-    """A problem: dimension n, d coordinates of a rotation in the cost, rotation order, data."""
+    """A problem: dimension n, d coordinates of a rotation in the cost, rotation order, data.
+
+    At rotation order 2 the start gives R_1 up to a factor, which the first range of speeds limits.
+    """
 
     n: int
     width: int
     order: int
-    decided: bool  # whether the start gives R_1 up to a factor, which is its speed's range
     motion: StepMap
     costs: Costs
     start: Rows
@@ -334,7 +336,7 @@ class Statement:
                 bodies = bodies._replace(places=bodies.places - origin)
         else:
             bodies = self._beside(origin, limits.bodies, start)
-        kinds = problem.dimension, self.width, problem.rotation_order, problem.rotation_order == 2
+        kinds = problem.dimension, self.width, problem.rotation_order
         return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
 
     # --- the start of trajectories
@@ -399,8 +401,7 @@ class Statement:
 
     @cached_property
     def _least(self) -> float:
-        floor = self.problem.floor
-        return floor.fraction if floor.exists and floor.shape in SPEEDS else 0.0
+        return self.problem.least_speed if self.problem.floor.shape in SPEEDS else 0.0
 
     @cached_property
     def _patches(self) -> Rows:
@@ -417,7 +418,8 @@ class Statement:
         solid = normals(3, faces) if faces and n == 3 else np.zeros((0, n))
         step = np.array([k - 1 for each in cones for k in each.steps], np.int64)
         rows = self._coned([each for each in cones for _ in each.steps])
-        known = number(self._least), faces if n == 2 else 0, self._rows(solid), step, rows
+        share = TURN[number] / faces if faces and n == 2 else number(0)
+        known = number(self._least), share, self._rows(solid), step, rows
         return Sets(*known, TURN[number], number(NARROW))
 
     def _cones(self, state: State, limits: Limits) -> list[Cone]:

@@ -120,7 +120,7 @@ class Regions:
         state = self._state
         limits = self._statement.limits(state, request.goals)
         stated = self._stated = self._statement.of(state, request.goals, limits)
-        self.first, self.bodies = int(stated.decided), len(stated.bodies.at)
+        self.first, self.bodies = stated.order - 1, len(stated.bodies.at)
         ordered = self._faces and stated.root.exchanged
         self.origins = np.full(count, self._first_arc) if ordered else NOWHERE
         self.floors = list(range(self.first, count)) if problem.floor.exists else []
@@ -152,7 +152,7 @@ class Regions:
         """Return the region of the root; None if it is empty."""
         root, bodies = self._begun_at
         known = self._stated
-        if known.root is not root or bodies != self.bodies or known.decided:
+        if known.root is not root or bodies != self.bodies or self.first:
             self._begun_at, self._root = (known.root, self.bodies), self._begin()
         return self._root
 
@@ -163,7 +163,7 @@ class Regions:
         decided = known.start[DECIDED : DECIDED + 1, :n]
         if begin(known, self.origins, part, span) == GONE:
             return None
-        given = known.decided and self._state.coasted is None
+        given = self.first and self._state.coasted is None
         if given and self.problem.floor.margin(decided)[0] < -SATISFIED:
             return None
         if self._flat is not None:
@@ -309,7 +309,7 @@ class Regions:
     def _always(self) -> Held:
         """Return half-spaces of all regions: for turns, and for an R_1 e1 of given direction."""
         stated, floor, found = self._stated, self.problem.floor, list[Row]()
-        if stated.decided and self._state.coasted is not None and floor.exists:
+        if self.first and self._state.coasted is not None and floor.exists:
             axis = stated.start[DECIDED, : self.problem.dimension]
             axis = axis / np.linalg.norm(axis)
             found.append(Row(0, self._reach[0], axis, float(floor.least(axis))))
