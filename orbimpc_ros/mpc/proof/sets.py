@@ -266,10 +266,8 @@ def over_stage(sets, known, k, g, length, curve, n):
             if linear:
                 slow = min(fastest, max(slowest, cone[n + 2]))
                 best = max(best, over_speeds(within, curve, slow, fastest))
-    best, speeds = (
-        max(best, over_speeds(along + length, curve, slowest, fastest)),
-        (slowest, fastest),
-    )
+    best = max(best, over_speeds(along + length, curve, slowest, fastest))
+    speeds = slowest, fastest
     if solid and part >= 0:
         face = sets.faces[part]
         best = max(best, over_face(g, along, face, sets.least, speeds, length, curve, n))
