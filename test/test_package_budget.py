@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_115,
-    'orbimpc_ros/mpc': 15_723,
+    'orbimpc_ros': 30_105,
+    'orbimpc_ros/mpc': 15_713,
     'orbimpc_ros/loop': 3_407,
     'orbimpc_ros/ros': 4_221,
     'orbimpc_ros/sim': 2_435,
