@@ -11,7 +11,9 @@ from harness import ROOT, python, run
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.entry import PACKAGES
+from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import executor_named
+from orbimpc_ros.sim.parameters import SIM
 
 BROKEN = """
     import sys, time
@@ -81,10 +83,12 @@ def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, sa
     assert re.search(said, done.stderr), done.stderr
 
 
-def test_help_says_how_to_give_parameters_and_what_the_exit_codes_mean():
-    done = run(sys.executable, '-m', PACKAGES['planner'], '--help')
-    assert done.returncode == 0
-    assert re.search(r'--params-file FILE(.|\n)*Exit\scodes:\s0 ', done.stdout)
+@pytest.mark.parametrize(('node', 'rows'), [('planner', PLANNER), ('sim', SIM)])
+def test_help_has_every_parameter_and_the_exit_codes_within_80_columns(node, rows):
+    lines = run(sys.executable, '-m', PACKAGES[node], '--help').stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert {row.name for row in rows} <= {line.split()[0] for line in lines if line.strip()}
+    assert any(line.startswith('exit codes: 0 ') for line in lines)
 
 
 # Background jobs of a shell, and all their children, ignore SIGINT.

@@ -13,10 +13,12 @@ import ast
 import faulthandler
 import functools
 import gc
+import json
 import os
 import shlex
 import signal
 import sys
+import textwrap
 import time
 import warnings
 from collections import Counter
@@ -46,6 +48,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.entry import BAD_INPUT, DONE, SIGNALS, leave_at_signals
 from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.ros.parameters.spec import ParameterSpec
 
 ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
 HELD_UP = 0.05  # [s] between readings of two clocks, above which they are not compared
@@ -324,11 +327,13 @@ SPIN = 0.05  # [s] longest response to a signal
 LAST_RESORT = 30.0  # [s] after which a process that hangs on exit is ended
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 SECURITY = 'ROS_SECURITY_ENABLE'
+INDENT = ' ' * 6  # of descriptions of parameters in --help
 KNOWN_WORDS = 'arguments of ROS, such as --params-file FILE, -p NAME:=VALUE, -r FROM:=TO'
-USAGE = (
-    f'ARGUMENT: {KNOWN_WORDS}. Parameters: docs/parameters.md, or ros2 param describe. '
-    'Exit codes: 0 done or ended by a signal, 1 failed, 2 bad input.'
-)
+USAGE = """\
+arguments of ROS: --params-file FILE, -p NAME:=VALUE, -r FROM:=TO, -r __ns:=/NS
+exit codes: 0 done or ended by a signal, 1 failed, 2 bad input
+
+parameters (name, default, meaning):"""
 
 
 def qos(depth: int = 1, lease: float = 0.0, **policies: Any) -> QoSProfile:
@@ -406,7 +411,7 @@ def executor_named(name: str, context: Context | None = None) -> Executor:
     return EventsExecutor(context=context)
 
 
-def run(make: Callable[[], Managed]) -> int:
+def run(make: Callable[[], Managed], name: str, specs: Sequence[ParameterSpec]) -> int:
     """Run a node until it is done or stopped, and return the exit code.
 
     A signal during the start ends the process at once: no command has been sent yet. BadInput from
@@ -425,7 +430,7 @@ def run(make: Callable[[], Managed]) -> int:
                 raise BadInput.stating('command line', unknown, hint) from None
             except RuntimeError as error:  # malformed rule or parameter file
                 return _ended(error, BAD_INPUT)
-            _require_ros_words()
+            _require_ros_words(name, specs)
             stack.enter_context(warnings.catch_warnings())
             warnings.simplefilter('ignore', RuntimeWarning)  # failures of rclpy's own cleanup
             node = make()
@@ -464,9 +469,19 @@ def _require_files() -> None:
             raise BadInput.stating(word, 'no such file', '--params-file is to name one')
 
 
-def _require_ros_words() -> None:
+def _require_ros_words(name: str, specs: Sequence[ParameterSpec]) -> None:
     """Reject arguments that would be ignored; print the usage and exit for --help."""
-    parser = argparse.ArgumentParser(usage='%(prog)s [--ros-args ARGUMENT...]', epilog=USAGE)
+    lines, known = [USAGE], {each.name: each for each in specs}
+    for each in map(known.__getitem__, sorted(known)):
+        lines.append(f'  {each.name}  {json.dumps(each.default)} {each.unit}'.rstrip())
+        lines += textwrap.wrap(
+            each.description, 80, initial_indent=INDENT, subsequent_indent=INDENT
+        )
+    parser = argparse.ArgumentParser(
+        usage=f'{name} [--ros-args ARGUMENT...]',
+        epilog='\n'.join(lines),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     _, plain = parser.parse_known_args(remove_ros_args(args=sys.argv)[1:])
     if plain:
         problem = f'{shlex.join(plain)} must follow --ros-args'

@@ -262,4 +262,4 @@ class SimNode(Managed):
         return response
 
 
-main = partial(run, SimNode)
+main = partial(run, SimNode, 'sim', SIM)

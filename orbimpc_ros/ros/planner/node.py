@@ -548,4 +548,4 @@ class PlannerNode(Managed):
         return response
 
 
-main = partial(run, PlannerNode)
+main = partial(run, PlannerNode, 'planner', PLANNER)
