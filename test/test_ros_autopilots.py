@@ -400,7 +400,7 @@ def test_a_dry_run_sends_nothing(wing):
     assert not flown.setpoints
     assert not flown.kept
     assert not flown.node.count_publishers('fmu/in/offboard_control_mode')
-    assert 'dry_run True' in flown.planner.output
+    assert 'dry run: sends no commands' in flown.planner.output
 
 
 @pytest.mark.parametrize('name', KINDS)
