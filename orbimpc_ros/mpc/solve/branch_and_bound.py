@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
-from orbimpc_ros.mpc.solve.dives import Dives, NodeProgram, is_accurate
+from orbimpc_ros.mpc.solve.dives import Dives, is_accurate
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
@@ -72,8 +72,8 @@ class BranchAndBound:
         self.takes_guess = self._chooses or among  # a single relaxation needs no warm start
         self._condensed = Condensed(problem)
         self._inverse = _inverse(self._condensed.hessian)
-        self.turns = Turns(problem) if problem.turns_are_angles else None
-        self._regions = Regions(problem, self._inverse, self.turns)
+        turns = Turns(problem) if problem.turns_are_angles else None
+        self._regions = Regions(problem, self._inverse, turns)
         self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
         spread = problem.weights.position or problem.weights.attitude or problem.obstacles or among
         self._in_plane = self._plane is not None and problem.dimension == 3 and not spread
@@ -122,19 +122,18 @@ class BranchAndBound:
     def _run(self, request: Request) -> _Run:
         regions = self._regions
         regions.bind(request)
-        posed = NodeProgram(self.problem, self.program, self.turns, request, regions)
+        dives = Dives(self.program, regions, request, self.tolerance)
         leaves = ProofWriter(
             self.problem, self._condensed, self._inverse, request, regions.bodies, regions.origins
         )
-        return _Run(posed, leaves, self.tolerance)
+        return _Run(request, regions, dives, leaves, self.tolerance)
 
     def _relaxed(self, request: Request) -> Found:
         """Return the optimum of a problem without disjunctions, which one relaxation solves."""
         state, goals = request.state, request.goals
-        try:
-            relaxed = self.program.relax(request)
-        except Infeasible:
-            raise Infeasible(NOTHING, self._root(request, empty=True)) from None
+        relaxed = self.program.relax(request)
+        if relaxed.empty:
+            raise Infeasible(NOTHING, self._root(request, relaxed))
         if relaxed.x is None:
             return Found(None, np.inf, relaxed.bound, 1)
         trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
@@ -144,14 +143,13 @@ class BranchAndBound:
         arrived = not terminal_violations(self.problem, goals, trajectory)
         if not (arrived and (solved or is_accurate(self.problem, goals, trajectory))):
             return Found(None, np.inf, relaxed.bound, 1)
-        return replace(found, proof=self._root(request))
+        return replace(found, proof=self._root(request, relaxed))
 
-    def _root(self, request: Request, *, empty: bool = False) -> ProofTree | None:
+    def _root(self, request: Request, relaxed: Relaxation) -> ProofTree | None:
         """Return the proof of a problem without disjunctions: a tree of one leaf."""
         leaves = ProofWriter(self.problem, self._condensed, self._inverse, request)
-        root, found = Node(0, -np.inf, None, None), self.program.multipliers
-        if found is not None:
-            root.leaf = leaves.solved(found, (), 0, empty=empty)
+        root = Node(0, -np.inf, None, None)
+        root.leaf = leaves.solved(relaxed, (), 0)
         return leaves.tree([root])
 
 
@@ -177,17 +175,26 @@ class _Run:
     """One search: the open nodes, the incumbent, and the least bound of closed leaves.
 
     Args:
-        posed: the request with its regions and relaxation.
+        request: state, goals and deadline.
+        regions: of the request.
+        dives: solver of its relaxations, and the incumbent.
         leaves: writer of the proof.
         tolerance: relative gap at which the search stops.
     """
 
-    def __init__(self, posed: NodeProgram, leaves: ProofWriter, tolerance: float) -> None:
-        self._posed, self._regions, self._leaves = posed, posed.regions, leaves
-        self._tolerance, self._dives = tolerance, Dives(posed, tolerance)
+    def __init__(
+        self,
+        request: Request,
+        regions: Regions,
+        dives: Dives,
+        leaves: ProofWriter,
+        tolerance: float,
+    ) -> None:
+        self._request, self._regions, self._dives = request, regions, dives
+        self._leaves, self._tolerance = leaves, tolerance
         self._root = -np.inf  # bound of the root
         self._closed = np.inf
-        self._nodes = [Node(0, -np.inf, None, posed.regions.root())]
+        self._nodes = [Node(0, -np.inf, None, regions.root())]
         self._open = [self._nodes[0]]
 
     def run(self, known: Sequence[Array] = (), *, among: bool = False) -> Found:
@@ -197,28 +204,28 @@ class _Run:
             known: rotation coordinates, shape (N, d) each, of candidates that may be feasible.
             among: whether paths are followed from the root: the best trajectory, and candidates.
         """
-        posed, best, root, stood_in = self._posed, self._dives, self._nodes[0], False
+        regions, best, root, stood_in = self._regions, self._dives, self._nodes[0], False
         if root.known is None:
             raise Infeasible(NOTHING)
         for x in known:
             best.offer(x)
         while self._open and self._open[0].bound < self._limit:
-            if posed.solved >= MAX_NODES or (posed.solved and posed.request.late):
+            if best.solved >= MAX_NODES or (best.solved and self._request.late):
                 break
-            if posed.solved >= FRUITLESS and best.x is None and not stood_in:
+            if best.solved >= FRUITLESS and best.x is None and not stood_in:
                 stood_in = True
                 best.stand_in()
             self._expand(heapq.heappop(self._open))
             if among and self._open:
                 if best.x is not None:
-                    best.follow(posed.headings(best.x), self._rows(root))
+                    best.follow(regions.headings(best.x), self._rows(root))
                 for x in known:
-                    best.dive(posed.headings(x), self._rows(root))
+                    best.dive(regions.headings(x), self._rows(root))
                 among = False
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if lower == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
-        return Found(best.x, best.cost, lower, posed.solved, proof=self._proof(lower))
+        return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""
@@ -232,7 +239,7 @@ class _Run:
 
         A leaf closed with too wide a turn caps the bound of the tree: no other node can raise it.
         """
-        if self._dives.x is None or self._posed.turns is None:
+        if self._dives.x is None or self._regions.turns is None:
             return self._dives.cutoff
         return min(self._dives.cutoff, self._closed)
 
@@ -242,45 +249,43 @@ class _Run:
         No trajectory is looked for. A node with a lower bound is split where its solution violates
         a choice, or else at the widest sector, which ends turns that are too wide.
         """
-        posed = self._posed
+        regions = self._regions
         if self._nodes[0].known is None:
             return None
         while self._open and self._open[0].bound <= cost:
-            if posed.solved == MAX_REFUTED or posed.request.late:
+            if self._dives.solved == MAX_REFUTED or self._request.late:
                 return None
             node = heapq.heappop(self._open)
-            relaxed = self._bounded(node, self._rows(node))
-            if relaxed is None or node.bound > cost:
+            relaxed = self._bounded(node)
+            if relaxed.empty or node.bound > cost:
                 continue
             if relaxed.x is None:
                 return None
-            headings, known = posed.headings(relaxed.x), self._known(node)
-            cut = self._cut(known, posed.missed(headings))
-            if cut is None and not posed.turns_in_time(headings):
-                cut = self._regions.widest(known)
+            headings, known = regions.headings(relaxed.x), self._known(node)
+            cut = self._cut(known, regions.missed(headings))
+            if cut is None and not regions.turns_in_time(headings):
+                cut = regions.widest(known)
             if cut is None:
                 return None
             self._part(node, cut, relaxed.bound, headings[1:])
         return self._leaves.tree(self._nodes)
 
-    def _bounded(self, node: Node, rows: dict[int, Held]) -> Relaxation | None:
-        """Solve a node and keep its multipliers; return None if it is infeasible."""
-        try:
-            relaxed = self._posed.relax(rows.values())
-        except Infeasible:
-            self._note(node, rows, empty=True)
-            return None
-        node.better = relaxed.bound >= node.bound
-        node.bound = max(node.bound, relaxed.bound)
-        self._note(node, rows)
+    def _bounded(self, node: Node) -> Relaxation:
+        """Solve a node; keep its bound and its proof."""
+        rows = self._rows(node)
+        relaxed = self._dives.relax(rows)
+        node.better = relaxed.empty or relaxed.bound >= node.bound
+        if not relaxed.empty:
+            node.bound = max(node.bound, relaxed.bound)
+        held = tuple(each for held in rows.values() for each in held)
+        node.leaf = self._leaves.solved(relaxed, held, node.depth)
         return relaxed
 
     def _expand(self, node: Node) -> None:
         """Solve a node; branch on it, or offer its solution as the incumbent."""
-        posed, rows = self._posed, self._rows(node)
-        relaxed = self._bounded(node, rows)
-        if relaxed is None:
-            if posed.solved == 1:
+        regions, relaxed = self._regions, self._bounded(node)
+        if relaxed.empty:
+            if node.above is None:
                 raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
             return
         if node.above is None:
@@ -288,16 +293,16 @@ class _Run:
         if relaxed.x is None:  # neither solved nor proved infeasible
             self._close(node.bound)
             return
-        headings = posed.headings(relaxed.x)
-        missed = posed.missed(headings)
+        headings = regions.headings(relaxed.x)
+        missed = regions.missed(headings)
         if not missed:
             self._settle(node, relaxed, headings)
             return
         if self._dives.x is None or self._is_nearly_round(missed):
-            self._dives.dive(headings, rows)
+            self._dives.dive(headings, self._rows(node))
         # Branching may take as long as a solve. Without a cut, an imposed face is violated: the
         # solve was not accurate enough.
-        cut = None if posed.request.late else self._cut(self._known(node), missed)
+        cut = None if self._request.late else self._cut(self._known(node), missed)
         if cut is None:
             self._close(node.bound)
         else:
@@ -308,7 +313,7 @@ class _Run:
         self._close(node.bound)
         assert relaxed.x is not None
         self._dives.offer(relaxed.x)
-        if not (relaxed.is_accurate and self._posed.turns_in_time(headings)):
+        if not (relaxed.is_accurate and self._regions.turns_in_time(headings)):
             self._dives.dive(headings, self._rows(node))
 
     def _rows(self, node: Node) -> dict[int, Held]:
@@ -334,13 +339,6 @@ class _Run:
             node.known = self._regions.part(self._known(above), above.cut, at)
         assert node.known is not None
         return node.known
-
-    def _note(self, node: Node, rows: dict[int, Held], *, empty: bool = False) -> None:
-        """Store the multipliers of the last relaxation, which is that of the node."""
-        found, node.better = self._posed.program.multipliers, node.better or empty
-        held = tuple(each for held in rows.values() for each in held)
-        if found is not None:
-            node.leaf = self._leaves.solved(found, held, node.depth, empty=empty)
 
     # --- branching
 

@@ -11,13 +11,10 @@ Mathematics: docs/mathematics.md, 4.9 and 4.11.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import holds, terminal_violations, turn_margin
-from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.check import holds, terminal_violations
 from orbimpc_ros.mpc.geometry.rotations import coordinates, margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
@@ -26,75 +23,14 @@ from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.stand_ins import in_time, turning
-from orbimpc_ros.mpc.solve.turns import Turns
 
 BESIDE = 2.0  # in units of a step's length: bodies farther from a path are not constrained by it
 FOLLOWED = 10  # solves beside a path, each with the solution before as its path
 WORTH = 1e-3  # relative reduction of the cost that is worth another solve
 ACCURATE = 1e-6  # the check's tolerance of orbitopes
-TURNED = 5e-7  # [rad] half the check's tolerance of turns
 LEAST = 1e-9  # smallest denominator of a relative gap
 
 Rows = dict[int, Held]  # half-spaces by choice
-
-
-class NodeProgram:
-    """A request with its regions and the convex program of its problem.
-
-    Args:
-        problem: what to solve.
-        program: its relaxation.
-        turns: the turn limit, if it bounds angles.
-        request: state, goals, guess and deadline.
-        regions: of the request.
-
-    Attributes:
-        solved: number of relaxations solved.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        program: Relaxed,
-        turns: Turns | None,
-        request: Request,
-        regions: Regions,
-    ) -> None:
-        self.problem, self.program, self.turns = problem, program, turns
-        self.request, self.regions, self.solved = request, regions, 0
-
-    def relax(self, held: Iterable[Held], chords: Array | None = None) -> Relaxation:
-        """Solve the relaxation within half-spaces.
-
-        Args:
-            held: half-spaces of choices.
-            chords: as in :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`.
-
-        Raises:
-            Infeasible: it was proved that no trajectory satisfies the constraints.
-        """
-        self.solved += 1
-        return self.program.relax(self.request, [row for each in held for row in each], chords)
-
-    def flown(self, x: Array) -> Trajectory:
-        """Return the rollout of rotation coordinates, shape (N, d)."""
-        return trajectory_of(self.problem, self.request.state, self.request.goals, x)
-
-    def headings(self, x: Array) -> Array:
-        """Return the headings R_0 e1..R_N e1, shape (N + 1, n), of rotation coordinates."""
-        return np.concatenate(
-            [self.request.state.rotation[None, :, 0], x[:, : self.problem.dimension]]
-        )
-
-    def missed(self, headings: Array) -> dict[int, float]:
-        """Return the violation of each choice that headings, shape (N + 1, n), violate."""
-        return self.regions.missed(headings[1:])
-
-    def turns_in_time(self, headings: Array) -> bool:
-        """Return True if every turn is within its angle; relaxations bound only its chord."""
-        if self.turns is None:
-            return True
-        return bool(turn_margin(self.problem, self.request.state, headings).min() >= -TURNED)
 
 
 def is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
@@ -110,16 +46,23 @@ class Dives:
     """Primal heuristics of one request, and the best trajectory found so far.
 
     Args:
-        posed: the request with its regions and relaxation; its guess is the first trajectory.
+        program: the relaxation of the problem.
+        regions: of the request.
+        request: state, goals, deadline and guess, which is the first trajectory.
         tolerance: relative gap at which the search stops.
 
     Attributes:
+        solved: number of relaxations solved.
         x: rotation coordinates, shape (N, d); None without a trajectory.
         cost: its objective; infinite without a trajectory.
     """
 
-    def __init__(self, posed: NodeProgram, tolerance: float) -> None:
-        self._posed, self._tolerance, guess = posed, tolerance, posed.request.guess
+    def __init__(
+        self, program: Relaxed, regions: Regions, request: Request, tolerance: float
+    ) -> None:
+        self._program, self._regions, self._request = program, regions, request
+        self._problem, self._turns = regions.problem, regions.turns
+        self._tolerance, self.solved, guess = tolerance, 0, request.guess
         self.x = None if guess is None else guess.x
         self.cost = np.inf if guess is None else guess.cost
 
@@ -130,26 +73,33 @@ class Dives:
             return np.inf
         return self.cost - self._tolerance * max(abs(self.cost), LEAST)
 
+    def relax(self, rows: Rows, chords: Array | None = None) -> Relaxation:
+        """Solve the relaxation within half-spaces; ``chords`` as in :meth:`Relaxed.relax`."""
+        self.solved += 1
+        held = [row for each in rows.values() for row in each]
+        return self._program.relax(self._request, held, chords)
+
     def offer(self, x: Array) -> Trajectory:
         """Accept rotation coordinates, shape (N, d), if they are cheaper and feasible.
 
         Returns:
             Their rollout.
         """
-        posed, trajectory = self._posed, self._posed.flown(x)
+        regions, goals = self._regions, self._request.goals
+        trajectory = trajectory_of(self._problem, self._request.state, goals, x)
         if (
             trajectory.objective < self.cost
-            and not posed.missed(trajectory.headings)
-            and posed.turns_in_time(trajectory.headings)
-            and is_accurate(posed.problem, posed.request.goals, trajectory)
+            and not regions.missed(trajectory.headings)
+            and regions.turns_in_time(trajectory.headings)
+            and is_accurate(self._problem, goals, trajectory)
         ):
             self.x, self.cost = x, trajectory.objective
         return trajectory
 
     def stand_in(self) -> None:
         """Accept the first trajectory found without a search that passes the check of plans."""
-        problem, request = self._posed.problem, self._posed.request
-        known = problem, request.state, request.goals
+        request = self._request
+        known = self._problem, request.state, request.goals
         for rotations in in_time(turning(*known), request.out_of_time):
             x = coordinates(rotations)
             plan = assemble(*known, x, projection='nearest', proof=UNPROVED)
@@ -159,11 +109,11 @@ class Dives:
 
     def dive(self, headings: Array, rows: Rows) -> None:
         """Follow the solution of a node, as far as turns allow; see :meth:`follow`."""
-        turns = self._posed.turns
+        turns = self._turns
         if turns is None:
             self.follow(headings, rows)
             return
-        for cells in (turns.reached(self._posed.request.state, headings), turns.kept(headings)):
+        for cells in (turns.reached(self._request.state, headings), turns.kept(headings)):
             self.follow(headings, rows, cells)
 
     def follow(self, headings: Array, rows: Rows, cells: Held = ()) -> None:
@@ -178,21 +128,21 @@ class Dives:
             rows: half-spaces of the node.
             cells: half-spaces of the headings with a turn limit; near those of the path by default.
         """
-        posed, regions, held, cost = self._posed, self._posed.regions, rows, np.inf
+        regions, held, cost = self._regions, rows, np.inf
         slow = coned = False
         for _ in range(FOLLOWED):
-            missed = posed.missed(headings)
+            missed = regions.missed(headings)
             if missed:
                 held = held | regions.tangents(headings[1:], missed, rows)
             else:
                 flat = held is not rows and not any(map(regions.is_round, held))
                 if flat or slow:  # flat sides stay where they are: there is little to gain
-                    if coned or posed.turns is None or self.cost < (1.0 - WORTH) * cost:
+                    if coned or self._turns is None or self.cost < (1.0 - WORTH) * cost:
                         return
                     coned = True
-                near = regions.beside(headings[1:], BESIDE * posed.problem.maps.unit)
+                near = regions.beside(headings[1:], BESIDE * self._problem.maps.unit)
                 held = rows | regions.tangents(headings[1:], [*regions.floors, *near], rows)
-            x = None if posed.request.late else self._solved(held, headings, cells, coned)
+            x = None if self._request.late else self._solved(held, headings, cells, coned)
             if x is None:
                 return
             trajectory = self.offer(x)
@@ -212,16 +162,13 @@ class Dives:
             cells: of the headings; near those of the path by default.
             coned: whether directions are limited instead of chords.
         """
-        posed, turns, chords = self._posed, self._posed.turns, None
+        turns, state, chords = self._turns, self._request.state, None
         if turns is not None and coned:
-            rows = rows | {ALWAYS: (*rows[ALWAYS], *turns.cones(posed.request.state, headings))}
+            rows = rows | {ALWAYS: (*rows[ALWAYS], *turns.cones(state, headings))}
         elif turns is not None:
             cells = cells or turns.kept(headings)
-            chords, narrow = turns.close(cells), turns.rows(posed.request.state, narrow=True)
+            chords, narrow = turns.close(cells), turns.rows(state, narrow=True)
             faced = {row.place: (row,) for row in cells}
             rows = rows | faced | {ALWAYS: (*rows[ALWAYS], *narrow)}
-        try:
-            relaxed = posed.relax(rows.values(), chords)
-        except Infeasible:
-            return None
+        relaxed = self.relax(rows, chords)
         return relaxed.x if relaxed.is_accurate else None

@@ -28,7 +28,6 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import COMPILED, bare, compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, extend_factor, solve_factored
@@ -358,14 +357,10 @@ class PlaceProgram:
 
     Args:
         problem: what to solve.
-
-    Attributes:
-        multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.multipliers: Multipliers | None = None
         steps, n = problem.horizon, problem.dimension
         self._condensed = Condensed(problem)
         hessian = self._condensed.hessian
@@ -415,7 +410,7 @@ class PlaceProgram:
         self._radii[problem.horizon :] = problem.chord
         if problem.max_rate and not problem.turns_are_angles:
             self._centres[problem.horizon] = state.rotation[:, 0]
-        self._edges = _edges(problem, state) if problem.first_turn_is_a_cone else None
+        self._edges = _edges(problem, state) if problem.first_turn_is_a_cone else ()
 
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
@@ -429,11 +424,9 @@ class PlaceProgram:
             bound = max(bound, value + self._constant)
             if status != INTERRUPTED or request.late:
                 break
-        self.multipliers = self._multipliers(count, len(rows))
-        if status == REFUTED:
-            raise Infeasible('no trajectory satisfies the constraints')
         x = self._coordinates(request.state) if status == SOLVED else None
-        return Relaxation(x, bound)
+        multipliers = self._multipliers(count, len(rows))
+        return Relaxation(x, bound, multipliers, empty=status == REFUTED)
 
     def _multipliers(self, count: int, asked: int) -> Multipliers:
         held, (steps, n) = self._held, (self.problem.horizon, self.problem.dimension)
@@ -453,25 +446,14 @@ class PlaceProgram:
 
     def _asked(self, rows: Sequence[Row], chords: Array | None) -> Asked:
         steps, n = self.problem.horizon, self.problem.dimension
-        places, normals, offsets = (
-            [row.place for row in rows],
-            [row.normal for row in rows],
-            [row.offset for row in rows],
-        )
-        if self._edges is not None:
-            places += [0] * len(self._edges)
-            normals += list(self._edges)
-            offsets += [0.0] * len(self._edges)
-        radii = self._radii
+        asked, radii = [(row.place, row.normal, row.offset) for row in rows], self._radii
+        asked += [(0, edge, 0.0) for edge in self._edges]
         if chords is not None:
             radii = radii.copy()
             radii[steps:] = np.minimum(radii[steps:], chords)
-        known = (
-            np.array(places, np.int64),
-            np.array(normals).reshape(-1, n),
-            np.array(offsets, float),
-        )
-        return Asked(self._q, self._free, self._centres, radii, *known)
+        places, normals, offsets = zip(*asked, strict=True) if asked else ((), (), ())
+        known = np.array(places, np.int64), np.array(normals).reshape(-1, n)
+        return Asked(self._q, self._free, self._centres, radii, *known, np.array(offsets, float))
 
 
 def _edges(problem: Problem, state: State) -> Array:

@@ -9,13 +9,12 @@ Mathematics: docs/mathematics.md, 4.8.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.model.dynamics import (
     adrift,
     attitude_weight,
@@ -26,7 +25,7 @@ from orbimpc_ros.mpc.model.dynamics import (
 )
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run
-from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
+from orbimpc_ros.mpc.solve.relaxation import Relaxation, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.statement import ConicStatement
 
@@ -46,9 +45,6 @@ class Program:
         problem: what to solve.
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
         tolerance: Clarabel's, on feasibility and on the gap.
-
-    Attributes:
-        multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
     """
 
     def __init__(
@@ -57,7 +53,6 @@ class Program:
         self.problem, self._tolerance = problem, tolerance
         self.statement = ConicStatement(problem, coasting=coasting)
         self._request: Request | None = None
-        self.multipliers: Multipliers | None = None
 
     def _bind(self, request: Request) -> None:
         """Set the data of the next solves from state and goals."""
@@ -94,18 +89,14 @@ class Program:
         data = self.stated(request)
         if chords is not None:
             data = self.statement.narrowed(data, chords)
-        data, late = self.cut(data, rows), request.out_of_time
-        relaxed = self._solved(data, self._scale, late)
+        data = self.cut(data, rows)
+        relaxed = self._solved(request, data, self._scale)
         if request.late or not relaxed.is_accurate or relaxed.bound >= SMALL * self._scale:
             return relaxed
         # Near the goal the cost almost vanishes: a gap that is small compared to 1 is not small
         # compared to the cost unless the cost is scaled up.
-        before = self.multipliers
-        anew = self._solved(data, max(relaxed.bound, TINY), late)
-        if anew.is_accurate:
-            return anew
-        self.multipliers = before
-        return relaxed
+        anew = self._solved(request, data, max(relaxed.bound, TINY))
+        return anew if anew.is_accurate else relaxed
 
     def cut(
         self, data: dict[str, Any], rows: Sequence[Row], *, equal: bool = False
@@ -119,29 +110,25 @@ class Program:
         entries[:, axes] = -shares[:, :, None] * normals[:, None]
         return extended(data, entries, -np.array([row.offset for row in rows]), equal=equal)
 
-    def _solved(
-        self, data: dict[str, Any], scale: float, out_of_time: Callable[[], bool] | None
-    ) -> Relaxation:
+    def _solved(self, request: Request, data: dict[str, Any], scale: float) -> Relaxation:
         """Solve with the cost divided by ``scale``.
 
-        Raises:
-            Infeasible: reported by Clarabel; its multipliers are taken as a Farkas certificate.
+        If Clarabel reports infeasibility, its multipliers are taken as a Farkas certificate.
         """
-        answer, request = run(data, self._tolerance, scale, out_of_time), self._request
-        if answer is None or request is None:
-            self.multipliers = None
+        answer = run(data, self._tolerance, scale, request.out_of_time)
+        if answer is None:
             return Relaxation(None, -np.inf)
         x, z, count = np.asarray(answer.x), scale * np.asarray(answer.z), len(self._data['b'])
         sizes = np.maximum(z[count:], 0.0)
-        self.multipliers = self.statement.multipliers(x, z[:count], sizes, request.state)
+        multipliers = self.statement.multipliers(x, z[:count], sizes, request.state)
         if str(answer.status) in REFUTED:
-            raise Infeasible('no trajectory satisfies the constraints')
+            return Relaxation(None, np.inf, multipliers, empty=True)
         accurate = str(answer.status) in SOLVED or _is_within(answer, NEAR)
         if not (accurate or _is_within(answer, ROUGH)):
-            return Relaxation(None, -np.inf)
+            return Relaxation(None, -np.inf, multipliers)
         rotations = self.statement.coordinates(x[self.statement.x], request.state)
         bound = scale * answer.obj_val_dual + self._constant if accurate else -np.inf
-        return Relaxation(rotations, bound)
+        return Relaxation(rotations, bound, multipliers)
 
 
 def _is_within(answer: Any, tolerance: float) -> bool:

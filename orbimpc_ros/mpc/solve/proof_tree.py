@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.stated import width_of
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, NOTHING, NOWHERE, POINTS, ProofTree
 from orbimpc_ros.mpc.solve.regions import CONE, Held
-from orbimpc_ros.mpc.solve.relaxation import Multipliers
+from orbimpc_ros.mpc.solve.relaxation import Relaxation
 from orbimpc_ros.mpc.solve.request import Request
 
 LATE_NODES = 40  # limit for a proof written after the deadline: 2 or 3 ms
@@ -144,15 +144,17 @@ class ProofWriter:
         self._rows = POINTS * problem.horizon * bodies  # on sides, per level of the tree
         self._stiff = bool(np.isfinite(inverse).all())
 
-    def solved(self, found: Multipliers, held: Held, depth: int, *, empty: bool = False) -> Leaf:
-        """Return the proof of a node from its relaxation.
+    def solved(self, relaxed: Relaxation, held: Held, depth: int) -> Leaf | None:
+        """Return the proof of a node from its relaxation; None without multipliers.
 
         Args:
-            found: multipliers of the relaxation.
+            relaxed: its solution.
             held: half-spaces of the relaxation.
             depth: of the node.
-            empty: whether the relaxation is infeasible.
         """
+        found = relaxed.multipliers
+        if found is None:
+            return None
         maps, tether = self._problem.maps, found.tether
         slide = found.slide if found.slide.size else np.zeros(tether.shape)
         force = tether.copy()
@@ -162,8 +164,8 @@ class ProofWriter:
         if len(found.pull):
             force += maps.arrival[: len(found.pull), 1:].T @ found.pull
         # The proof of an infeasible node does not involve the cost, so any point will do.
-        point = self._blank().point if empty else found.point
-        leaf = Leaf(point, found.share, (), force, (found.pull, slide, tether), empty)
+        point = self._blank().point if relaxed.empty else found.point
+        leaf = Leaf(point, found.share, (), force, (found.pull, slide, tether), relaxed.empty)
         return leaf.pressed(held, found.sizes.tolist(), depth)
 
     def _blank(self) -> Leaf:

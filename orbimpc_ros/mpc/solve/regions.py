@@ -28,6 +28,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.check import turn_margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.geometry.separation import separation
 from orbimpc_ros.mpc.problem import Problem
@@ -56,6 +57,7 @@ from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.turns import Turns
 
 SATISFIED = 1e-7  # violation below which a choice is satisfied; a tenth of the check's tolerance
+TURNED = 5e-7  # [rad] half the check's tolerance of turns
 REFUTED = 1e-6  # distance from which on a half-space counts as out of reach
 FINEST = 1e-6  # [rad] such a narrow sector misses its floor by less than rounding
 AROUND = 4  # arcs that the full circle is split into
@@ -76,6 +78,7 @@ class Regions:
         turns: the turn limit, if it bounds angles.
 
     Attributes:
+        turns: the turn limit, if it bounds angles.
         first: index of the first heading that is not fixed by the state.
         bodies: number of bodies.
         origins: as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
@@ -88,7 +91,7 @@ class Regions:
         inverse: Array,
         turns: Turns | None = None,
     ) -> None:
-        self.problem, self._statement, self._turns = problem, Statement(problem), turns
+        self.problem, self._statement, self.turns = problem, Statement(problem), turns
         n, count, floor = problem.dimension, problem.horizon, problem.floor
         controls, started = problem.maps.controls, problem.maps.started
         self._controls, still = controls.shape[1], np.zeros((count, 3))
@@ -313,9 +316,9 @@ class Regions:
             axis = stated.start[DECIDED, : self.problem.dimension]
             axis = axis / np.linalg.norm(axis)
             found.append(Row(0, self._reach[0], axis, float(floor.least(axis))))
-        if self._turns is not None and (stated.n == 3 or self._flat is not None):
+        if self.turns is not None and (stated.n == 3 or self._flat is not None):
             number = CONE if stated.n == 3 else HEADING
-            found += [row._replace(number=number) for row in self._turns.rows(self._state)]
+            found += [row._replace(number=number) for row in self.turns.rows(self._state)]
         return tuple(found)
 
     def beyond(self, choice: int, normal: Array, offsets: Array, i: int) -> Held:
@@ -326,19 +329,29 @@ class Regions:
 
     # --- violations
 
+    def headings(self, x: Array) -> Array:
+        """Return the headings R_0 e1..R_N e1, shape (N + 1, n), of rotation coordinates."""
+        return np.concatenate([self._state.rotation[None, :, 0], x[:, : self.problem.dimension]])
+
+    def turns_in_time(self, headings: Array) -> bool:
+        """Return True if every turn is within its angle; relaxations bound only its chord."""
+        if self.turns is None:
+            return True
+        return bool(turn_margin(self.problem, self._state, headings).min() >= -TURNED)
+
     def missed(self, headings: Array) -> dict[int, float]:
         """Return the violation of each choice that headings violate.
 
         Args:
-            headings: R_1 e1..R_N e1, shape (N, n).
+            headings: R_0 e1..R_N e1, shape (N + 1, n).
         """
         found = dict[int, float]()
         if self.problem.floor.exists:
-            short = -self.problem.floor.margin(headings)
+            short = -self.problem.floor.margin(headings[1:])
             short[: self.first] = -np.inf
             found = {k: float(short[k]) for k in np.flatnonzero(short > SATISFIED).tolist()}
         if self.bodies:
-            into, _ = self._entered(headings)
+            into, _ = self._entered(headings[1:])
             for j, k in zip(*(each.tolist() for each in np.nonzero(into > SATISFIED)), strict=True):
                 found[(2 + j) * self.problem.horizon + k] = float(into[j, k])
         return found

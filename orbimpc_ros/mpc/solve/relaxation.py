@@ -66,10 +66,14 @@ class Relaxation:
         x: rotation coordinates of R_1..R_N, shape (N, d); None if the program was not solved.
         bound: dual value that belongs to ``x``; -inf if unknown, or if ``x`` is only accurate
             enough for branching. Only the verifier proves bounds.
+        multipliers: None if unknown.
+        empty: whether no trajectory satisfies the constraints.
     """
 
     x: Array | None
     bound: float
+    multipliers: Multipliers | None = None
+    empty: bool = False
 
     @property
     def is_accurate(self) -> bool:
@@ -78,13 +82,7 @@ class Relaxation:
 
 
 class Relaxed(Protocol):
-    """A convex program of a problem, solved repeatedly with different half-spaces.
-
-    Attributes:
-        multipliers: of the last relaxation; None if unknown.
-    """
-
-    multipliers: Multipliers | None
+    """A convex program of a problem, solved repeatedly with different half-spaces."""
 
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
@@ -98,7 +96,4 @@ class Relaxed(Protocol):
             rows: half-spaces.
             chords: tighter limits on |R_{k+1} e1 - R_k e1| for the K steps where the problem bounds
                 that chord, shape (K,).
-
-        Raises:
-            Infeasible: it was proved that no trajectory satisfies the constraints.
         """

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import coordinates, margin, matrix
 from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
@@ -67,14 +66,10 @@ class SO3Multipliers:
         problem: what to solve.
         coasting: whether states come with a ``coasted`` rotation (for rotation order 2).
         beside: whether there will be half-spaces on control points.
-
-    Attributes:
-        multipliers: see :class:`orbimpc_ros.mpc.solve.relaxation.Relaxed`.
     """
 
     def __init__(self, problem: Problem, *, coasting: bool = False, beside: bool = False) -> None:
         self.problem = problem
-        self.multipliers: Multipliers | None = None
         self._given = problem.rotation_order - 1  # at order 2 the state determines R_1
         self._coasting = coasting and bool(self._given)
         condensed = self._condensed = Condensed(problem)
@@ -92,9 +87,7 @@ class SO3Multipliers:
             self._build_general()
         if bare(minimise) is minimise:
             # The first call compiles or loads machine code: at start-up rather than in a tick.
-            at_rest = Request(_rest(self._coasting), np.zeros((problem.horizon, 3)))
-            with suppress(Infeasible):  # the horizon may be too short to turn round and arrive
-                self.relax(at_rest)
+            self.relax(Request(_rest(self._coasting), np.zeros((problem.horizon, 3))))
 
     def _make_room(self) -> None:
         """Allocate the kernel's arrays; rho, if there is one, is the first variable."""
@@ -209,40 +202,34 @@ class SO3Multipliers:
         """
         if request is not self._request:
             self._bind(request)
-        self.multipliers = None
         if not (self._coasting and abs(self._start[0, 0]) > STEEPEST):
             return self._relaxed(request, rows)
         if request.hurried and self._general is None:
             return Relaxation(None, -np.inf)
-        return self._leave(request, rows)
+        return (self._general or self._build_general()).relax(request, rows)
 
     def _relaxed(self, request: Request, rows: Sequence[Row]) -> Relaxation:
         """Solve from the multipliers of the last solve, then without, then by the general one."""
-        terms, bound = self._terms(rows), -np.inf
+        if any(map(self._is_missed, rows)):
+            return Relaxation(None, np.inf, empty=True)
+        terms, bound, told = self._terms(rows), -np.inf, None
         for warm in (True, False):
             self._take_up(len(rows), warm=warm)
             progress, status = self._minimise(terms, request)
             if progress.numbers[BEST] > bound:
                 bound = float(progress.numbers[BEST])
-                self.multipliers = self._told(request, rows, empty=status == REFUTED)
+                told = self._told(request, rows, empty=status == REFUTED)
             if status == REFUTED:
-                raise Infeasible('no headings in their balls are beyond the half-spaces')
+                return Relaxation(None, np.inf, told, empty=True)
+            found = Relaxation(self._rotations(progress.x), self._least + bound, told)
             if status == SETTLED:
-                return Relaxation(self._rotations(progress.x), self._least + bound)
+                return found
             if request.late:
                 break
         hurried = request.hurried and (self._general is None or request.late)
         if hurried:  # building the general program would take longer than the deadline allows
-            return Relaxation(_within(self._rotations(progress.x)), self._least + bound)
-        return self._leave(request, rows)
-
-    def _leave(self, request: Request, rows: Sequence[Row]) -> Relaxation:
-        """Solve with the general program."""
-        general = self._general or self._build_general()
-        try:
-            return general.relax(request, rows)
-        finally:
-            self.multipliers = general.multipliers
+            return replace(found, x=_within(self._rotations(progress.x)))
+        return (self._general or self._build_general()).relax(request, rows)
 
     def _minimise(self, terms: Terms, request: Request) -> tuple[Iterate, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
@@ -327,11 +314,13 @@ class SO3Multipliers:
         if place >= self._coasting:
             return place, row.normal, row.offset
         along = float(row.normal @ self._first[:3])
-        if self._coasting:
-            return 0, (along, 0.0, 0.0), row.offset
-        if along < row.offset - PRECISION:
-            raise Infeasible('R_1 is given, and on the wrong side of a half-space')
-        return INERT
+        return (0, (along, 0.0, 0.0), row.offset) if self._coasting else INERT
+
+    def _is_missed(self, row: Row) -> bool:
+        """Return True if R_1 is given, and on the wrong side of a half-space."""
+        if self._coasting or row.place >= self._given:
+            return False
+        return bool(row.normal @ self._first[:3] < row.offset - PRECISION)
 
 
 def _arrays(rows: Sequence[Placed]) -> tuple[np.ndarray, Array, Array]:
