@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_178,
-    'orbimpc_ros/mpc': 15_713,
+    'orbimpc_ros': 30_091,
+    'orbimpc_ros/mpc': 15_626,
     'orbimpc_ros/loop': 3_407,
     'orbimpc_ros/ros': 4_294,
     'orbimpc_ros/sim': 2_435,
