@@ -68,7 +68,8 @@ class Units:
     def of(cls, problem: Problem) -> Units:
         """Return the natural units: the longest step from rest, a step, the largest curvature."""
         scaled = _in_units(problem, problem.maps.unit, problem.step)
-        cost = _curvature(scaled)
+        curved = float(np.abs(np.diag(Condensed(scaled).hessian)).max())
+        cost = max(curved, scaled.weights.length) or 1.0
         weights = Weights(*(each * (1.0 / cost) for each in astuple(scaled.weights)))
         scaled = replace(scaled, weights=weights, arrival_weight=scaled.arrival_weight / cost)
         return cls(scaled, problem.maps.unit, problem.step, cost)
@@ -126,12 +127,6 @@ def _in_units(problem: Problem, length: float, time: float) -> Problem:
         max_acceleration=problem.max_acceleration * time * time / length,
         obstacles=tuple(box.scaled(1.0 / length) for box in problem.obstacles),
     )
-
-
-def _curvature(problem: Problem) -> float:
-    """Return the scale of a problem's costs: its largest curvature or slope; 1 if it has none."""
-    curved = float(np.abs(np.diag(Condensed(problem).hessian)).max())
-    return max(curved, problem.weights.length) or 1.0
 
 
 class _Query(NamedTuple):
