@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_091,
-    'orbimpc_ros/mpc': 15_626,
+    'orbimpc_ros': 30_086,
+    'orbimpc_ros/mpc': 15_621,
     'orbimpc_ros/loop': 3_407,
     'orbimpc_ros/ros': 4_294,
     'orbimpc_ros/sim': 2_435,
