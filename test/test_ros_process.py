@@ -46,7 +46,7 @@ BROKEN = """
             raise rclpy_implementation.RCLError('cannot delete data')
 
     process.LAST_RESORT = process.LAST_RESORT if {hanging} == 0.0 else 1.0
-    sys.exit(process.run(Broken))
+    sys.exit(process.run(Broken, 'broken', ()))
 """
 
 
