@@ -78,6 +78,8 @@ class BranchAndBound:
         spread = problem.weights.position or problem.weights.attitude or problem.obstacles or among
         self._in_plane = self._plane is not None and problem.dimension == 3 and not spread
         self._beside = among or bool(problem.obstacles)
+        if not self._in_plane:  # there, with a deadline no program is solved
+            self.program = _program(problem, coasting, beside=self._beside)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -100,7 +102,7 @@ class BranchAndBound:
 
     @cached_property
     def program(self) -> Relaxed:
-        """Return the relaxation of the problem; its machine code takes a while to load."""
+        """Return the relaxation of the problem, whose machine code takes a while to load."""
         return _program(self.problem, self._coasting, beside=self._beside)
 
     def _better(self, request: Request, x: Array) -> Found:
