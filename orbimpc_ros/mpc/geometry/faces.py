@@ -9,6 +9,7 @@ Mathematics: docs/mathematics.md, 3.3 and 3.5.
 from __future__ import annotations
 
 import itertools
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +20,9 @@ GOLDEN = (1.0 + 5.0**0.5) / 2.0
 # Face normals of cube, dodecahedron and icosahedron, up to signs, cyclic shifts and their size.
 SOLIDS = {6: [(0.0, 0.0, 1.0)], 12: [(0.0, 1.0, GOLDEN)],
           20: [(1.0, 1.0, 1.0), (0.0, 1.0 / GOLDEN, GOLDEN)]}  # fmt: skip
+TOUCH = 1e-4  # [rad]
+STEEPEST_CAP = 1.0  # [rad]: for a wider cap, patches that share a corner would be too long
+QUARTERS = 4  # initial triangles about +z
 ROUND = 96  # corners of the polygon that is drawn for a circle
 CLOSE = 1e-9
 
@@ -40,6 +44,22 @@ def normals(dimension: int, faces: int) -> Array:
     once = dict.fromkeys(map(tuple, np.vstack(points).tolist()))  # -0.0 is the same key as 0.0
     found = np.array([*once]) + 0.0
     return sealed(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+
+def cap(tilt: float) -> Array:
+    """Return the corners of four triangles that cover a cap of the sphere, shape (4, 3, 3).
+
+    They share the corner +z. Their outer sides touch the circle at an angle ``tilt`` from it [rad],
+    enlarged by a margin for rounding.
+    """
+    wide = math.atan(math.tan(tilt + TOUCH) / math.cos(math.pi / QUARTERS))
+    around = 2.0 * np.pi * np.arange(QUARTERS + 1) / QUARTERS
+    height = np.full(len(around), math.cos(wide))
+    outer = np.column_stack(
+        [math.sin(wide) * np.cos(around), math.sin(wide) * np.sin(around), height]
+    )
+    up = np.array([0.0, 0.0, 1.0])
+    return np.array([[up, outer[i], outer[i + 1]] for i in range(QUARTERS)])
 
 
 @lru_cache(maxsize=1)

@@ -30,6 +30,7 @@ from orbimpc_ros.mpc.proof.tree import (
 
 WHOLE, ORDERED = -1, 1  # parts: without restrictions; sectors of steps in ascending order
 HELD, GONE, WRONG = range(3)  # a part is valid, is empty, or is invalid
+ICOSAHEDRON = 20  # triangles; those of the cap come after them
 FARTHEST = 100  # [rad] angle from zero of arcs: beyond it turns would be counted inexactly
 
 
@@ -156,7 +157,17 @@ def _is_split_right(stated, node, at, part, low, high):
         return arcs if whole else kind == CUT and within
     if not whole:
         return kind == QUARTERS and parts == 4
-    return kind == PATCHES and parts == len(stated.root.patches)
+    capped = body == -2 and parts == len(stated.root.patches) - ICOSAHEDRON and _is_capped(sets, c)
+    return kind == PATCHES and (parts == ICOSAHEDRON or capped)
+
+
+@generic
+def _is_capped(sets, k):
+    """Return whether the directions of a step are in the cap."""
+    capped = False
+    for q in range(len(sets.cone_step)):
+        capped = capped or (sets.cone_step[q] == k and sets.cones[q, -1] == 1)
+    return capped
 
 
 @generic
@@ -237,9 +248,10 @@ def _followed(stated, c, part, span):
 def _set_patch(patches, node, i, made):
     """Set the corners of part i of all directions, or of the given patch, shape (3, 3)."""
     if node[KIND] == PATCHES:
+        first = 0 if node[CHILDREN] == ICOSAHEDRON else ICOSAHEDRON
         for j in range(3):
             for e in range(3):
-                made[j, e] = patches[i, j, e]
+                made[j, e] = patches[first + i, j, e]
         return
     for e in range(3):
         old = made[0, e], made[1, e], made[2, e]

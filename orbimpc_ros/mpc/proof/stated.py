@@ -19,7 +19,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.faces import icosahedron, normals
+from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP, cap, icosahedron, normals
 from orbimpc_ros.mpc.model.translation import controls, step_of
 from orbimpc_ros.mpc.problem import Ball, Box, Problem, State
 from orbimpc_ros.mpc.problem.cones import relief
@@ -45,6 +45,7 @@ ROUNDING = 1e-15  # added to a chord
 INWARD = 1.0 - 1e-12  # factor of a speed, for rounding
 UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
 END, ENDS, STEP = range(3)  # the part of a step that is on one side of a body
+UP = 0.0, 0.0, 1.0
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
 NOTHING: Array = np.zeros(0)
 Rows = Any  # an array of numbers, of floats or of fractions
@@ -134,7 +135,8 @@ class Root(NamedTuple):
         change: largest change of speed in a step; 2 without a limit.
         aim: direction of the approach in the plane [rad].
         aside: largest angle from it [rad]; negative without a limit.
-        patches: triangles that cover all directions in space, shape (F, 3, 3).
+        patches: triangles that cover all directions in space, and then those that cover the
+            tilt's cap, shape (F, 3, 3).
         exchanged: number of the first steps that are exchangeable: the cost depends only on the sum
             of their headings and on their lengths, and the floor is their only limit.
     """
@@ -156,8 +158,8 @@ class Sets(NamedTuple):
         share: angle between the normals of a polygon in the plane [rad]; 0 without.
         faces: normals of the faces of a solid in space, shape (F, n).
         cone_step: heading 0..N-1 of each cone, shape (Q,).
-        cones: their axes, unit vectors; cosine and sine of their angles, and their least speeds,
-            shape (Q, n + 3).
+        cones: their axes, unit vectors; cosine and sine of their angles, their least speeds, and 1
+            if the patches of the tilt's cap cover them, shape (Q, n + 4).
         full: a turn, rounded up [rad].
         narrow: a negligible angle [rad].
     """
@@ -405,7 +407,12 @@ class Statement:
 
     @cached_property
     def _patches(self) -> Rows:
-        return self._rows(icosahedron() if self.problem.dimension == 3 else np.zeros((0, 3, 3)))
+        """Return the triangles that cover all directions, and those of the tilt's cap."""
+        if self.problem.dimension == 2:
+            return self._rows(np.zeros((0, 3, 3)))
+        tilt = self.problem.tilt
+        capped = 0.0 < tilt <= STEEPEST_CAP
+        return self._rows(np.concatenate([icosahedron(), *[cap(tilt)] * capped]))
 
     @cached_property
     def _without_cones(self) -> Sets:
@@ -432,13 +439,15 @@ class Statement:
         return cones + [Cone(axis, k * turn + WIDER, 0.0, (k,)) for k in steps]
 
     def _coned(self, cones: Sequence[Cone]) -> Rows:
-        n = self.problem.dimension
-        rows = self._rows(np.zeros((len(cones), n + 3)))
+        n, tilt = self.problem.dimension, self.problem.tilt
+        rows = self._rows(np.zeros((len(cones), n + 4)))
         for row, each in zip(rows, cones, strict=True):
             axis = self._rows(each.axis)
             row[:n] = axis / root((axis * axis).sum())
             row[n : n + 2] = direction(self._number(each.angle))
             row[n + 2] = self._number(each.least)
+            capped = 0.0 < tilt <= STEEPEST_CAP and each.axis == UP and each.angle == tilt
+            row[n + 3] = self._number(1 if capped else 0)
         return rows
 
     def _turned(self, state: State) -> tuple[Number, Rows, Rows]:

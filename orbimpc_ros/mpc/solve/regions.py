@@ -35,6 +35,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.flight import DECIDED
 from orbimpc_ros.mpc.proof.splits import (
     GONE,
+    ICOSAHEDRON,
     WHOLE,
     Cut,
     Region,
@@ -127,6 +128,8 @@ class Regions:
         ordered = self._faces and stated.root.exchanged
         self.origins = np.full(count, self._first_arc) if ordered else NOWHERE
         self.floors = list(range(self.first, count)) if problem.floor.exists else []
+        flags = stated.sets.cones[:, problem.dimension + 3] == 1.0  # patches cover the tilt's cap
+        self._upright = set(stated.sets.cone_step[flags].tolist())
         known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
         self._free = self._started @ known
         if self.bodies:
@@ -452,7 +455,9 @@ class Regions:
         if n == 2:
             faces = self._faces if heading else 0
             return Cut(ARCS, choice, faces or AROUND, self._first_arc if faces else 0.0)
-        return Cut(PATCHES, choice, len(self._stated.root.patches))
+        up = heading and choice in self._upright
+        parts = len(self._stated.root.patches) - ICOSAHEDRON if up else ICOSAHEDRON
+        return Cut(PATCHES, choice, parts)
 
     def _refined(self, choice: int, known: Region) -> Cut | None:
         """Return the split of a sector or a patch; None if it is too small."""
@@ -492,7 +497,8 @@ class Regions:
             return self._sectors(choice, np.array([[low, cut.at], [cut.at, high]]))
         patches = self._stated.root.patches
         if cut.kind == PATCHES:
-            return self._patched(choice, patches)
+            first = 0 if cut.parts == ICOSAHEDRON else ICOSAHEDRON
+            return self._patched(choice, patches[first : first + cut.parts])
         a, b, c = known.corners[choice]
         ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
         quarters = np.array([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
