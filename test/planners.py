@@ -23,6 +23,7 @@ from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import Model, measured
 
 FRAMES = Frames('odom', 'base_link')
+UNHEARD = 0.3  # [s] the same for a first goal: less than odometry may wait for it
 LOST = 10.0  # [s] without an answer before inputs are sent again: a busy planner may need a second
 QUICK = {'trigger': 'odom', 'step': 0.1, 'odom_timeout': 0.8}
 
@@ -112,15 +113,19 @@ class Bench:
         """Send odometry and goal of a stamp, again if lost; return the command for them.
 
         Odometry sent twice is answered twice, and the second answer arrives at an unexpected time.
+        But odometry whose goal is lost would become stale: before the first command, the goal is
+        sent again soon.
         """
         sent = [odometry(seconds), goal(seconds)]
-        before, again = len(self.commands), -math.inf
+        before, again, soon = len(self.commands), -math.inf, -math.inf
 
         def answer():
-            nonlocal again
+            nonlocal again, soon
+            if time.monotonic() > (again if self.commands else soon):
+                soon = time.monotonic() + UNHEARD
+                self.goal.publish(sent[1])
             if time.monotonic() > again:  # best effort: may be lost during discovery
                 again = time.monotonic() + LOST
-                self.goal.publish(sent[1])
                 self.odometry.publish(sent[0])
             later = self.commands[before:]
             return [c for c in later if c.header.stamp == sent[0].header.stamp]

@@ -119,6 +119,33 @@ def test_a_timer_whose_clock_stands_still_is_noticed(launch, observer):
     assert not moving(bench.commands[-1])
 
 
+def test_odometry_sent_again_is_answered_though_its_goal_came_late(launch, observer):
+    """Simulated time stands still for a simulator whose first goal was lost in discovery."""
+    clock = observer.node.create_publisher(Clock, '/clock', qos())
+    bench = Bench(launch, observer, QUICK | {'use_sim_time': True, 'odom_timeout': 0.2})
+    observer.until(clock.get_subscription_count, 'the planner listening to time')
+
+    def sent(publisher, message):
+        clock.publish(Clock(clock=messages.time_message(10**9)))
+        publisher.publish(message)
+
+    def waits():
+        sent(bench.odometry, odometry(1.0))
+        return any('waits for a goal' in m.status[0].message for m in bench.health)
+
+    bench.until(waits, 'odometry')
+    time.sleep(0.5)  # longer than odometry is fresh
+
+    def refused_again():
+        sent(bench.goal, goal(1.0))
+        return 'refused goal: duplicate stamp' in told(bench.health[-1])
+
+    bench.until(refused_again, 'a goal')
+    assert not bench.commands
+    bench.until(lambda: sent(bench.odometry, odometry(1.0)) or bench.commands, 'a command')
+    assert moving(bench.commands[0])
+
+
 def test_qos_is_as_documented(launch, observer):
     launch('planner', {}, 'retrieval')
     launch('sim', {'wait_subscribers': 9}, 'retrieval')

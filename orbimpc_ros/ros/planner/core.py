@@ -240,6 +240,14 @@ class Inputs:
         if topic == 'odom':
             self._place_again(received.stamp.nanoseconds)
 
+    def renew(self, stamp: int, now: float) -> bool:
+        """Count odometry of a stamp [ns] as arrived again; return True if it may be answered."""
+        known = self.odometry
+        if known is None or stamp != known.stamp.nanoseconds or not self.complete:
+            return False
+        self.latest['odom'] = replace(known, at=now)
+        return True
+
     # --- goals
 
     def _keep_goal_alone(self) -> None:

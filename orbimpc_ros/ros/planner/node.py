@@ -302,12 +302,13 @@ class PlannerNode(Managed):
         return flown and (self._wing is None or self._wing.engaged)
 
     def _repeat_answer(self, message: OdometryMessage) -> None:
-        """Repeat the answer to repeated odometry: the first may have been lost in discovery."""
-        stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
-        waited = self.steady_now() - self._sent_at > REPEAT
-        if stamp != self._answered or not waited or self._unsafe():
-            return
-        if self._decision is not None:
+        """Answer repeated odometry: its goal or first answer may have been lost in discovery."""
+        stamp, at = message.header.stamp.sec * SECOND + message.header.stamp.nanosec, self._now()
+        waited = at[0] - self._sent_at > REPEAT
+        if stamp != self._answered:
+            if self._time.simulated and self._core.inputs.renew(stamp, at[0]):
+                self._answer(self._decide())
+        elif waited and self._decision is not None and not self._unsafe():
             self._command(self._decision)
             self._report(self._decision)  # also for new subscribers
 
