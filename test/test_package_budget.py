@@ -5,10 +5,10 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_151,
+    'orbimpc_ros': 30_152,
     'orbimpc_ros/mpc': 15_675,
     'orbimpc_ros/loop': 3_407,
-    'orbimpc_ros/ros': 4_303,
+    'orbimpc_ros/ros': 4_304,
     'orbimpc_ros/sim': 2_435,
     'orbimpc_ros/tool': 4_204,
     'benchmarks': 3_472,

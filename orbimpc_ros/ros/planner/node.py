@@ -306,7 +306,8 @@ class PlannerNode(Managed):
         stamp, at = message.header.stamp.sec * SECOND + message.header.stamp.nanosec, self._now()
         waited = at[0] - self._sent_at > REPEAT
         if stamp != self._answered:
-            if self._time.simulated and self._core.inputs.renew(stamp, at[0]):
+            awaited = self._time.simulated and self._core.settings.trigger == 'odom'
+            if awaited and self._core.inputs.renew(stamp, at[0]):
                 self._answer(self._decide())
         elif waited and self._decision is not None and not self._unsafe():
             self._command(self._decision)
