@@ -1,7 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Trajectories of the discrete dynamics (1.1a) and their costs (1.2a): term by term, and condensed.
 
-All but the length term is quadratic; ``solve.statement`` states the whole as a cone program. The
+All but the length term is quadratic; ``solve.program`` states the whole as a cone program. The
 check evaluates the objective independently.
 
 With positions eliminated (1.3a), one N x N matrix H serves every coordinate. Unless an orbitope is

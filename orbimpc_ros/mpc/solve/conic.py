@@ -8,9 +8,10 @@ Mathematics: docs/mathematics.md, 4.8.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -27,55 +28,86 @@ except ModuleNotFoundError:
 
 REDUCED = 1e-7
 SOLVED = ('Solved', 'AlmostSolved')
+Part = tuple[Any, Array, list[Any]]  # rows of A, shape (m, columns), their b, and their cones
 
 
-def extended(
-    data: dict[str, Any], rows: Array, offsets: Array, *, equal: bool = False
-) -> dict[str, Any]:
-    """Return compiled data with additional rows A'x <= b' or A'x = b' after the others.
+class ConeProgram(NamedTuple):
+    """The data of a cone program.
 
-    Args:
-        data: compiled.
-        rows: A', shape (m, columns).
-        offsets: b', shape (m,).
-        equal: whether the additional rows are equalities.
+    Attributes:
+        quadratic: the upper triangle of P.
+        linear: q, shape (columns,).
+        rows: A, shape (M, columns).
+        offsets: b, shape (M,).
+        cones: of which K is the product, in the order of the rows.
     """
-    a, count = data['A'], len(offsets)
-    columns, lines = np.nonzero(rows.T)
-    more = np.bincount(columns, minlength=a.shape[1])
-    at = np.repeat(a.indptr[1:], more)  # behind the other entries of each column
-    entries = np.insert(a.data, at, rows[lines, columns])
-    places = np.insert(a.indices, at, a.shape[0] + lines)
-    ends = a.indptr + np.append(0, np.cumsum(more))
-    shape = a.shape[0] + count, a.shape[1]
-    cone = clarabel.ZeroConeT(count) if equal else clarabel.NonnegativeConeT(count)
-    return {
-        **data,
-        'A': sparse.csc_matrix((entries, places, ends), shape=shape),
-        'b': np.concatenate([data['b'], offsets]),
-        'cones': [*data['cones'], cone],
-    }
+
+    quadratic: sparse.csc_matrix
+    linear: Array
+    rows: sparse.csc_matrix
+    offsets: Array
+    cones: list[Any]
+
+    def extended(self, *parts: Part) -> ConeProgram:
+        """Return the program with additional rows after the others."""
+        if not parts:
+            return self
+        every, b, more_cones = zip(*parts, strict=True)
+        a, rows, offsets = self.rows, np.concatenate(every), np.concatenate([self.offsets, *b])
+        columns, lines = np.nonzero(rows.T)
+        more = np.bincount(columns, minlength=a.shape[1])
+        at = np.repeat(a.indptr[1:], more)  # behind the other entries of each column
+        entries = np.insert(a.data, at, rows[lines, columns])
+        places = np.insert(a.indices, at, a.shape[0] + lines)
+        ends = a.indptr + np.append(0, np.cumsum(more))
+        shape = len(offsets), a.shape[1]
+        return self._replace(
+            rows=sparse.csc_matrix((entries, places, ends), shape=shape),
+            offsets=offsets,
+            cones=[*self.cones, *chain.from_iterable(more_cones)],
+        )
+
+
+def zero(count: int) -> Any:
+    """Return the cone of equalities."""
+    return clarabel.ZeroConeT(count)
+
+
+def positive(count: int) -> Any:
+    """Return the cone of rows Ax <= b."""
+    return clarabel.NonnegativeConeT(count)
+
+
+def round_cones(count: int, n: int) -> list[Any]:
+    """Return cones of vectors of n numbers that are no longer than the number before them."""
+    return [clarabel.SecondOrderConeT(1 + n)] * count
+
+
+def semidefinite(count: int, order: int) -> list[Any]:
+    """Return cones of matrices: upper triangles by columns, off-diagonals times sqrt(2)."""
+    import_module('scipy.linalg')  # Clarabel would, at the first solve: 60 ms, in a tick
+    return [clarabel.PSDTriangleConeT(order)] * count
 
 
 def run(
-    data: dict[str, Any],
+    program: ConeProgram,
     tolerance: float,
     scale: float = 1.0,
     out_of_time: Callable[[], bool] | None = None,
 ) -> Any:
-    """Return Clarabel's solution of compiled data, with any status; None if it panicked.
+    """Return Clarabel's solution of a program, with any status; None if it panicked.
 
     By default Clarabel reports ``AlmostSolved`` at errors of up to 1e-4. With :data:`REDUCED` it
     means a solution to 1e-7, which is accurate enough for the check and the gap of a plan.
 
     Args:
-        data: the upper triangle of P; q, A, b and the ``cones``.
+        program: what to solve.
         tolerance: on feasibility and on the gap.
         scale: that the cost is divided by.
         out_of_time: polled at each iteration; None for no deadline.
     """
-    cost, rows = (data['P'] / scale, data['q'] / scale), (data['A'], data['b'], data['cones'])
-    solver = clarabel.DefaultSolver(*cost, *rows, _settings(tolerance))
+    quadratic, linear, *rows = program
+    solver = clarabel.DefaultSolver(quadratic / scale, linear / scale, *rows, _settings(tolerance))
     if out_of_time is not None:
         solver.set_termination_callback(lambda _: out_of_time())
     try:
@@ -84,20 +116,6 @@ def run(
         if type(error).__name__ != 'PanicException':
             raise
         return None
-
-
-def cones_of(zero: int, nonneg: int, soc: Sequence[int], psd: Sequence[int]) -> list:
-    """Return the cones of rows in this order: zero, non-negative, second-order, semidefinite."""
-    if psd:
-        import_module('scipy.linalg')  # Clarabel would, at the first solve: 60 ms, in a tick
-    cones: list = []
-    if zero:
-        cones.append(clarabel.ZeroConeT(zero))
-    if nonneg:
-        cones.append(clarabel.NonnegativeConeT(nonneg))
-    cones += [clarabel.SecondOrderConeT(size) for size in soc]
-    cones += [clarabel.PSDTriangleConeT(size) for size in psd]
-    return cones
 
 
 def _settings(tolerance: float) -> clarabel.DefaultSettings:

@@ -10,7 +10,7 @@ Mathematics: docs/mathematics.md, 3.10.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 
@@ -24,16 +24,15 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.problem import LEEWAY
 from orbimpc_ros.mpc.problem.reach import WITHIN, entry_speed, first_change_is_decided
 from orbimpc_ros.mpc.search.engine import PlanarSearch
-from orbimpc_ros.mpc.solve.conic import SOLVED, extended, run
+from orbimpc_ros.mpc.solve.conic import positive
 from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH
-from orbimpc_ros.mpc.solve.program import TINY, Program
+from orbimpc_ros.mpc.solve.program import Program
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.relaxation import Row
 from orbimpc_ros.mpc.solve.request import Found, Request, method_for
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 from orbimpc_ros.mpc.solve.turns import cone, spared
 
-ACCURATE = 1e-9  # tolerance of Clarabel
 NARROW = 1e-4  # [rad] thinner cones are replaced by their axes, for Clarabel's accuracy
 
 
@@ -110,8 +109,8 @@ class PacedSpeeds:
         """
         found, cost = list[Array](), np.inf
         while len(found) < FOLLOWED:
-            late = None if waits and not found else request.out_of_time
-            x = self._beside(request, way, min(max(cost, TINY), 1.0), late)
+            within = request._replace(out_of_time=None) if waits and not found else request
+            x = self._beside(within, way)
             if x is None:
                 break
             found.append(x)
@@ -121,9 +120,7 @@ class PacedSpeeds:
             cost, way = trajectory.objective, trajectory.rotations[1:]
         return found
 
-    def _beside(
-        self, request: Request, way: Array, unit: float, late: Callable[[], bool] | None
-    ) -> Array | None:
+    def _beside(self, request: Request, way: Array) -> Array | None:
         """Return the best coordinates, shape (N, d), near a path, shape (N, n, n), or None.
 
         Bodies are passed on the path's sides, and floors satisfied beyond its tangents or faces.
@@ -146,20 +143,19 @@ class PacedSpeeds:
         for k, half in enumerate(spare.tolist(), first):
             wide = half >= NARROW
             (held if wide else rays).extend(cone(k, units, half * wide))
-        data = extended(program.stated(request), *self._limits(state, units))
-        data = program.cut(program.cut(data, held), rays, equal=True)
-        answer = run(data, ACCURATE, unit, late)  # the unit is for small costs near the goal
-        if answer is None or str(answer.status) not in SOLVED:
-            return None
-        return program.statement.coordinates(np.asarray(answer.x)[program.statement.x], state)
+        sizes, offsets = self._limits(state, units)
+        paced = program.stated(request).extended((sizes, offsets, [positive(len(offsets))]))
+        paced = program.cut(program.cut(paced, held), rays, equal=True)
+        relaxed = program.solved(request, paced)
+        return relaxed.x if relaxed.is_accurate else None
 
     def _limits(self, state: State, units: Array) -> tuple[Array, Array]:
         """Return A and b of A x <= b: limits (3.10a), made convex about directions, (N, n)."""
-        problem, statement, every = self._problem, self._program.statement, np.arange(len(units))
+        problem, program, every = self._problem, self._program, np.arange(len(units))
         most, entry = WITHIN * problem.speed_change, entry_speed(problem, state)
-        sizes, along = np.zeros((2, len(units), statement.columns))
-        sizes[every, statement.t] = 1.0
-        along[every[:, None], statement.x[:, : problem.dimension]] = units
+        sizes, along = np.zeros((2, len(units), program.count))
+        sizes[every, program.t] = 1.0
+        along[every[:, None], program.x[:, : problem.dimension]] = units
         rows = np.vstack([sizes[:1], -along[:1], sizes[1:] - along[:-1], sizes[:-1] - along[1:]])
         offsets = most + np.append([entry, -entry], np.zeros(len(rows) - 2))
         first = 2 * first_change_is_decided(problem, state)
