@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 30_152,
-    'orbimpc_ros/mpc': 15_675,
+    'orbimpc_ros': 30_047,
+    'orbimpc_ros/mpc': 15_570,
     'orbimpc_ros/loop': 3_407,
     'orbimpc_ros/ros': 4_304,
     'orbimpc_ros/sim': 2_435,
