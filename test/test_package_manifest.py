@@ -227,6 +227,7 @@ def test_a_general_method_says_in_a_line_what_it_needs(bare):
     [
         ('rosbags.typesys', f'rosbags is missing: .*{INSTALL}rosbags$'),
         ('mcap', f'mcap is missing: .*{INSTALL}mcap$'),
+        ('distributed', f"distributed is missing: .*{INSTALL}'distributed>="),
         ('orbimpc_ros.nowhere', ''),
         (None, ''),
     ],

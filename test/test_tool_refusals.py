@@ -3,11 +3,11 @@
 
 import json
 import shlex
+from importlib.util import find_spec
 
 import pytest
 import yaml
 from bags import GOLDEN
-from test_tool_view import needs_rerun
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.tool import bags, cli, files, settings, study
@@ -67,6 +67,7 @@ VIEWER = {
     f'view {DUBINS} --namespace /uav7': 'without /uav7/odom',
     f'view {DUBINS} --port 70000': '--port',
 }
+needs_rerun = pytest.mark.skipif(find_spec('rerun') is None, reason='needs the extra view')
 CASES = [
     *(pytest.param(*case, id=case[0]) for case in REFUSED.items()),
     *(pytest.param(*case, id=case[0], marks=needs_rerun) for case in VIEWER.items()),
@@ -77,14 +78,17 @@ def no_workers(*_given):
     raise AssertionError('nothing was to be flown')
 
 
-def no_module(_name):
-    raise ModuleNotFoundError(name='jsbsim')
+def without(package):
+    def load(_name):
+        raise ModuleNotFoundError(name=package)
+
+    return load
 
 
 MISSING = {
     'faults': ('benchmarks.faults.find_spec', lambda _name: None, 'ros-jazzy-rclpy'),
-    f'view {DUBINS}': ('orbimpc_ros.tool.view.installed', lambda: False, 'rerun-sdk'),
-    'demo cessna': ('orbimpc_ros.sim.vehicle.import_module', no_module, 'jsbsim>=1.2'),
+    f'view {DUBINS}': ('orbimpc_ros.tool.cli.import_module', without('rerun'), 'rerun-sdk'),
+    'demo cessna': ('orbimpc_ros.sim.vehicle.import_module', without('jsbsim'), 'jsbsim>=1.2'),
 }
 
 

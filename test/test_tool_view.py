@@ -18,10 +18,10 @@ from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros.messages import RED, SECOND, Frames, Stamp, marker, shown
-from orbimpc_ros.tool import bags, view
+from orbimpc_ros.tool import bags
 
 INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/recording.md says"
-needs_rerun = pytest.mark.skipif(not view.installed(), reason=f'needs rerun-sdk: {INSTALL}')
+view = pytest.importorskip('orbimpc_ros.tool.view', reason=INSTALL)
 
 
 class Drawing:
@@ -50,14 +50,11 @@ class Drawing:
 
 @pytest.fixture(scope='module')
 def drawn():
-    pytest.importorskip('rerun', reason=INSTALL)
-    from orbimpc_ros.tool.scene import Scene
-
     found = {}
     for name in ('retrieval', 'spacecraft', 'obstacles', 'fixed_wing'):
-        messages = bags.of_vehicle(GOLDEN / name, '', Scene.topics)
+        messages = bags.of_vehicle(GOLDEN / name, '', view.Scene.topics)
         found[name] = Drawing(), messages
-        scene = Scene(found[name][0])
+        scene = view.Scene(found[name][0])
         for each in messages:
             scene.take(each.topic, each.content)
         scene.take('captured', Bool(data=True))
@@ -86,13 +83,10 @@ def test_every_part_is_drawn(drawn):
 
 
 def test_obstacles_are_drawn_where_they_are():
-    pytest.importorskip('rerun', reason=INSTALL)
-    from orbimpc_ros.tool.scene import Scene
-
     drawing, at = Drawing(), Stamp(SECOND, Frames())
     bodies = Box(np.array([1.0, -2.0, 0.0]), np.array([3.0, 2.0, 1.0])), Ball(np.ones(3), 0.5)
     told = [shown(marker(at, 'obstacles', k, 0, RED, 1.0), each) for k, each in enumerate(bodies)]
-    Scene(drawing).take('plan_markers', MarkerArray(markers=told))
+    view.Scene(drawing).take('plan_markers', MarkerArray(markers=told))
     for number, place, half in ((0, [2.0, 0.0, 0.5], [1.0, 2.0, 0.5]), (1, [1.0] * 3, [0.5] * 3)):
         entity = f'world/plan_markers/obstacles/{number}'
         assert np.allclose(drawing.numbers(entity, 0, 'centers'), place)
@@ -100,15 +94,12 @@ def test_obstacles_are_drawn_where_they_are():
 
 
 def test_what_the_planner_would_refuse_is_not_drawn(drawn):
-    from orbimpc_ros.tool.scene import Scene
-
     _, messages = drawn['retrieval']
     hostile = [each.content for each in messages if each.topic == 'odom'][-1]
     hostile.pose.pose.position.x = float('nan')
     drawing = Drawing()
-    scene = Scene(drawing)
+    scene = view.Scene(drawing)
     scene.take('odom', hostile)
-    scene.take('unheard', hostile)
     empty = next(each.content for each in messages if each.topic == 'tick')
     empty.status.clear()
     scene.take('tick', empty)
@@ -118,7 +109,6 @@ def test_what_the_planner_would_refuse_is_not_drawn(drawn):
 # --- the command
 
 
-@needs_rerun
 def test_a_port_that_is_taken_is_refused(tool):
     with socket.socket() as taken:
         taken.bind(('127.0.0.1', 0))
@@ -152,8 +142,6 @@ class Served:
 
 @pytest.fixture(scope='module')
 def served():
-    if not view.installed():
-        pytest.skip(f'needs rerun-sdk: {INSTALL}')
     serving = Served(GOLDEN / 'retrieval')
     yield serving
     if serving.process.poll() is None:
@@ -192,7 +180,6 @@ def test_it_ends_in_order_and_leaves_nothing(served):
     assert not any(reachable('127.0.0.1', port) for port in served.ports)
 
 
-@needs_rerun
 def test_it_leaves_nothing_when_it_is_killed():
     serving = Served(GOLDEN / 'dubins')
     assert all(reachable('127.0.0.1', port) for port in serving.ports)
@@ -204,11 +191,7 @@ def test_it_leaves_nothing_when_it_is_killed():
 # --- live
 
 
-@needs_rerun
 def test_live_nodes_are_drawn_with_their_markers(launch, domain, monkeypatch):
-    pytest.importorskip('rclpy')
-    from orbimpc_ros.tool.scene import Scene
-
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     drawing, end = Drawing(), time.monotonic() + PATIENCE
     launch('planner', {'step': 0.2, 'floor.shape': 'polygon'})
@@ -224,7 +207,7 @@ def test_live_nodes_are_drawn_with_their_markers(launch, domain, monkeypatch):
         assert time.monotonic() < end, 'in vain'
         return not (found[floor] and all(len(found[f'world/{each}']) > 3 for each in wanted))
 
-    view.draw_live(Scene(drawing), '', going)
+    view.draw_live(view.Scene(drawing), '', going)
     assert drawing.numbers(floor, 0, 'strips').shape == (4, 2, 3)  # a square
     at, _ = found['world/vehicle'][-1]
     assert abs(at['timestamp'] - time.time()) < 60.0, at

@@ -24,6 +24,8 @@ ROS = (
     *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'lifecycle_msgs', 'nav_msgs'),
     *('rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
 )
+# Extras that bring a package.
+EXTRAS = dict.fromkeys(ROS, 'ros') | {'distributed': 'study', 'rerun': 'view', 'rerun_cli': 'view'}
 PACKAGES = {'planner': 'orbimpc_ros.ros.planner', 'sim': 'orbimpc_ros.sim'}
 DONE, BAD_INPUT = 0, 2  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -62,14 +64,13 @@ planner, sim = partial(_run, 'planner'), partial(_run, 'sim')
 def in_a_line(error: ModuleNotFoundError) -> str:
     """Return in one line how to install a missing package; empty if it is not a dependency."""
     package = (error.name or '').partition('.')[0]
-    if package not in OTHERS + ROS:
+    if package not in (*OTHERS, *EXTRAS):
         return ''
     from orbimpc_ros import install  # slow: it reads package metadata
 
-    hint = install.command(package)
-    if package in ROS:
-        hint = f'install ROS 2, or {install.command_for_extra("ros")}'
-    return f'{package} is missing: {hint}'
+    extra = EXTRAS.get(package)
+    hint = install.command_for_extra(extra) if extra else install.command(package)
+    return f'{package} is missing: {"install ROS 2, or " * (extra == "ros")}{hint}'
 
 
 def report_compilation(report: Callable[[str], None]) -> None:
