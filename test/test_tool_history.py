@@ -4,6 +4,7 @@
 import itertools
 from dataclasses import replace
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from bags import GOLDEN, changed, made_up, rewritten, write
@@ -210,10 +211,12 @@ def test_a_flight_is_drawn_into_a_folder_that_is_made(tool, tmp_path):
 
 def test_a_dark_retrieval_with_its_animation(tool, tmp_path):
     before = plot.paper()
+    with plot.look(dark=True):
+        page, palette = plot.paper(), mpl.rcParams['axes.prop_cycle'].by_key()['color']
     assert tool('plot', GOLDEN / 'retrieval', '-o', tmp_path, '--dark')[0] == 0
-    assert plot.paper() == before != plot.PAGE
+    assert plot.paper() == before != page
     assert {file.name for file in tmp_path.iterdir()} == STILL | {plot.ANIMATION}
-    dark = tuple(round(255 * part) for part in to_rgb(plot.PAGE))
+    dark = tuple(round(255 * part) for part in to_rgb(page))
     for file in tmp_path.glob('*.png'):
         with Image.open(file) as image:
             assert image.convert('RGB').getpixel((0, 0)) == dark
@@ -226,7 +229,7 @@ def test_a_dark_retrieval_with_its_animation(tool, tmp_path):
             shown.append(np.asarray(image.convert('RGB'), dtype=int))
     for one, other in itertools.pairwise(shown):
         assert (np.abs(other - one).max(axis=2) > 50).sum() > 500
-    for color in (plot.DARK[1], plot.DARK[3], plot.DARK[4]):  # vehicle, goal, plan
+    for color in (palette[1], palette[3], palette[4]):  # vehicle, goal, plan
         wanted = np.array([round(255 * part) for part in to_rgb(color)])
         assert (np.abs(shown[1] - wanted).max(axis=2) <= 6).sum() > 50, color
 

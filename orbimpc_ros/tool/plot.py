@@ -1,9 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc plot``: the path of a flight with headings, time series, and an animation.
 
-Figures refer to colours by their place in the cycle, ``C0`` and so on. A look defines these
-colours: one for print, legible in greyscale, and one for dark pages. The animation shows vehicle,
-plan and goal in motion, next to charts of distance and speed.
+Figures refer to colours by their place in the cycle, ``C0`` and so on. Style sheets in config/plots
+define these colours, for print and for dark pages. The animation shows vehicle, plan and goal in
+motion, next to charts of distance and speed.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.rcsetup import cycler
 from matplotlib.ticker import LogFormatter
 from PIL import Image
 
@@ -35,10 +35,6 @@ from orbimpc_ros.tool.files import folder_at
 from orbimpc_ros.tool.history import History, of_bag, story
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
-# Okabe and Ito's palette, distinguishable with every common form of colour blindness.
-PRINT = ('#222222', '#0072B2', '#56B4E9', '#E69F00', '#009E73', '#D55E00', '#8C8C8C', '#B5B5B5')
-DARK = ('#E6EDF3', '#58A6FF', '#9CCBF5', '#F0B33C', '#2FBF94', '#FF8A4C', '#9AA4AE', '#4A535D')
-PAGE = '#0D1117'  # background of dark pages
 PATH, DATA = 'trajectory.png', 'data.png'
 LOOKS = ((INK, '-'), (BLUE, '--'), (GREEN, '-.'), (ORANGE, ':'))  # styles of the lines in one chart
 AXES = (('x', RED), ('y', GREEN), ('z', BLUE))  # of the body, in RViz's colours
@@ -84,30 +80,8 @@ def run(
 
 def look(dark: bool = False) -> AbstractContextManager:
     """Return a context in which figures are drawn and written for print, or for dark pages."""
-    colors, page, grid = (DARK, PAGE, '#21262D') if dark else (PRINT, 'white', '#E6E6E6')
-    inked = ('text.color', 'axes.edgecolor', 'axes.labelcolor', 'xtick.color', 'ytick.color')
-    style: Any = {
-        **dict.fromkeys(inked, colors[0]),
-        **dict.fromkeys((f'axes3d.{axis}axis.panecolor' for axis in 'xyz'), page),
-        'font.size': 9.0,
-        'figure.facecolor': page,
-        'figure.dpi': 200,
-        'axes.facecolor': page,
-        'axes.prop_cycle': cycler(color=colors),
-        'axes.titlesize': 10.0,
-        'axes.titlelocation': 'left',
-        'axes.spines.top': False,
-        'axes.spines.right': False,
-        'axes.grid': True,
-        'axes.axisbelow': True,
-        'grid.color': grid,
-        'figure.titlesize': 12.0,
-        'figure.titleweight': 'bold',
-        'legend.facecolor': page,
-        'legend.edgecolor': 'none',
-        'legend.fontsize': 8.5,
-    }
-    return mpl.rc_context(style)
+    names = ('print', 'dark') if dark else ('print',)
+    return style.context([settings.config(f'plots/{name}.mplstyle') for name in names])
 
 
 def in_both_looks(file: Path) -> Iterator[Path]:
