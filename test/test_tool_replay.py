@@ -29,15 +29,16 @@ from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import Message, fields
 from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.offline import OfflinePlanner
-from orbimpc_ros.tool.recording import (
+from orbimpc_ros.tool.replay import (
     RecordedTick,
     Recording,
+    distance,
     published,
     recorded_command,
     recording_of,
     replayed,
+    tolerance,
 )
-from orbimpc_ros.tool.replay import distance, tolerance
 
 # Not the rope: near it, the last bits of NumPy's sums decide whether a search finds a plan.
 ANSWERS = ('/cmd_vel', '/tick', '/rotation')

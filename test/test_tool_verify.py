@@ -15,14 +15,14 @@ from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.document import WORD, Unproved, certificate_of
 from orbimpc_ros.mpc.proof.tree import one
-from orbimpc_ros.tool import bags, recording
-from orbimpc_ros.tool.recording import replayed
+from orbimpc_ros.tool import bags, replay
+from orbimpc_ros.tool.replay import replayed
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 KINDS = ('UInt8MultiArray', 'MultiArrayLayout')
 
 DISTURBED, WING = (GOLDEN / 'disturbed', '--tick', 3), (GOLDEN / 'fixed_wing', '--tick', 9)
-BEATEN = 1.01 * recording.recording_of(DISTURBED[0]).answers[3].answer['lower_bound']
+BEATEN = 1.01 * replay.recording_of(DISTURBED[0]).answers[3].answer['lower_bound']
 FAR = {**CASES['uav_square_0'], 'terminal': 'constraint', 'goal': [60.0, 0.0]}
 
 
@@ -215,7 +215,7 @@ def without_refutations(monkeypatch):
 
 
 def without_plans(monkeypatch):
-    monkeypatch.setattr('orbimpc_ros.tool.recording.replayed', lost)
+    monkeypatch.setattr('orbimpc_ros.tool.replay.replayed', lost)
 
 
 def without_bounds(monkeypatch):
@@ -251,8 +251,8 @@ def test_a_claim_fails_where_a_plan_is_against_it(tool, monkeypatch, at, claims,
 
 
 def claiming(monkeypatch, claims):
-    read = recording.fields
-    monkeypatch.setattr(recording, 'fields', lambda tick: {**read(tick), **claims})
+    read = replay.fields
+    monkeypatch.setattr(replay, 'fields', lambda tick: {**read(tick), **claims})
 
 
 def test_a_time_that_excludes_no_step_has_no_row(tool, monkeypatch):

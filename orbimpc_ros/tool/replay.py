@@ -1,25 +1,46 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""``orbimpc replay``: solve a bag's inputs again, tick by tick, and compare with its outputs."""
+"""``orbimpc replay``: a bag as a regression test, whose inputs are answered again tick by tick.
+
+Plans are solved again, but timing is taken from the recording. So are ticks without a plan (an
+input was stale, the planner was disabled) and the command published on the previous tick, so that
+one difference does not cause differences in all later ticks.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
 import time
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from bisect import bisect_right
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from orbimpc_ros.loop.planner import Decision
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
-from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.planner import PlannerSettings
-from orbimpc_ros.tool import history
-from orbimpc_ros.tool.recording import CLOCK, Answer, ReplayedTick, recording_of, replayed
+from orbimpc_ros.mpc.outcome import Cause, Reason, Status
+from orbimpc_ros.mpc.plan import Command
+from orbimpc_ros.ros import topics
+from orbimpc_ros.ros.messages import SECOND, pushed
+from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
+from orbimpc_ros.ros.planner.core import GOALS, READ, TRANSFORMS, Inputs, others
+from orbimpc_ros.ros.topics import resolving
+from orbimpc_ros.tool import bags, history, settings
+from orbimpc_ros.tool.bags import Message, fields, point
+from orbimpc_ros.tool.offline import OfflinePlanner
 
+CLOCK = '/clock'
+TREE = tuple(topic.name for topic in topics.TREE)
+INPUTS = tuple(topic.name for topic in topics.INPUTS)
+COMPARED = tuple(topic.name for topic in topics.OUTPUTS if not topic.name.startswith('plan'))
+NEEDED = ('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')
+Messages = Mapping[str, Any]  # by topic
+Answer = dict[str, Any]  # values published on a tick; unknown ones are absent
 LINES = 20  # differences printed individually
 # Solver versions, with and without numba, agree on an optimum within these tolerances. The
 # objective is flat at its optimum: it agrees more closely than the command that attains it.
@@ -87,6 +108,229 @@ def _show(tick: ReplayedTick, found: Sequence[Comparison]) -> None:
         print(refusal)
 
 
+# --- what was recorded
+
+
+def published(messages: Messages) -> Answer:
+    """Return the values in messages by topic: the fields of ``tick`` by name, and the command.
+
+    The latter has the ``speed`` [m/s], ``body_rate``, shape (3,) [rad/s], ``force`` [N] and
+    ``rotation``, a quaternion, shape (4,).
+    """
+    found: Answer = {}
+    if 'cmd_vel' in messages:
+        twist = messages['cmd_vel'].twist
+        found |= {'speed': pushed(twist.linear), 'body_rate': point(twist.angular)}
+    if 'cmd_thrust' in messages:
+        found['force'] = pushed(messages['cmd_thrust'].wrench.force)
+    if 'rotation' in messages:
+        q = messages['rotation'].quaternion
+        found['rotation'] = np.array([q.w, q.x, q.y, q.z])
+    return found | (fields(messages['tick']) if 'tick' in messages else {})
+
+
+@dataclass(frozen=True)
+class RecordedTick:
+    """A recorded tick of the planner."""
+
+    stamp: int  # of the odometry that it answers [ns]
+    sent: int  # when its first message was sent, by the clock of the inputs [ns]
+    answer: Answer  # the values in its messages
+
+    @property
+    def solved(self) -> bool:
+        """Return whether a solver was called, as far as is known."""
+        return self.answer.get('solve_time_ms') != 0.0
+
+    @property
+    def planned(self) -> bool:
+        """Return whether the answer is based on odometry and goals, as far as is known.
+
+        If every goal is stale, it continues the previous plan without a solve, and still lists goal
+        stamps; a safe command for any other reason lists none.
+        """
+        return self.solved or bool(self.answer.get('goal_stamps'))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The inputs and answers of one planner in a bag."""
+
+    namespace: str  # of the vehicle, such as ``/uav1``
+    settings: PlannerSettings  # of the planner
+    simulated: bool  # whether its time came from ``/clock``
+    inputs: tuple[Message, ...]  # with their own stamps, in the order of sending
+    answers: tuple[RecordedTick, ...]  # in the order of sending
+
+
+def recording_of(
+    path: Path,
+    namespace: str = '',
+    params: str | None = None,
+    changes: Sequence[str] = (),
+    tick: int | None = None,
+) -> Recording:
+    """Return the recording of a vehicle's planner, in its namespace.
+
+    Args:
+        path: path of the bag.
+        namespace: such as ``/uav1``.
+        params: file of the planner's parameters, if not those noted in the bag.
+        changes: ``name=value``, of these parameters.
+        tick: number of the last one to read; None for all.
+
+    Raises:
+        BadInput: no bag, or not one with odometry, a goal and the planner's answers, or there are
+            no parameters, or no such tick.
+    """
+    if params is None and not changes and not bags.notes(path):
+        missing = 'no notes of its parameters'
+        raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
+    values = settings.of_bag(path, namespace, params)
+    values = settings.changed(values, changes, simulated=False)
+    planner = planner_settings(values)
+    read = (*INPUTS, *COMPARED, CLOCK, *TREE, *others(planner, resolving(namespace)))
+    found = bags.of_vehicle(path, namespace, read, NEEDED)
+    inputs = tuple(each for each in found if each.topic not in COMPARED)
+    outputs = (each for each in found if each.topic in COMPARED)
+    answers = sorted(_answers(outputs), key=lambda each: each.sent)
+    if tick is not None and not 0 <= tick < len(answers):
+        raise BadInput('--tick', tick, f'0 to {len(answers) - 1}')
+    simulated = values.get('use_sim_time', any(each.topic == CLOCK for each in inputs))
+    last = len(answers) if tick is None else tick + 1
+    return Recording(namespace, planner, bool(simulated), inputs, tuple(answers[:last]))
+
+
+def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
+    """Yield every answer, of at most one message per topic; repeated answers count once."""
+    by_stamp: dict[int, list[dict[str, Message]]] = defaultdict(lambda: [{}, {}])
+    for each in sent:
+        groups = by_stamp[each.stamp]
+        if each.topic in groups[-1]:
+            groups.append({})
+        groups[-1][each.topic] = each
+    for stamp, groups in by_stamp.items():
+        for before, now in itertools.pairwise(groups):
+            known = {topic: each.data for topic, each in before.items()}
+            if any(known.get(topic) != each.data for topic, each in now.items()):
+                contents = {topic: each.content for topic, each in now.items()}
+                begun = min(each.sent for each in now.values())
+                yield RecordedTick(stamp, begun, published(contents))
+
+
+# --- its inputs, answered again
+
+
+@dataclass(frozen=True)
+class ReplayedTick:
+    """A tick answered again."""
+
+    recorded: RecordedTick  # the recorded answer
+    answer: Answer  # the answer of the replay
+    refusals: tuple[str, ...]  # validation errors of inputs since the previous tick
+    decision: Decision  # behind the answer of the replay
+
+
+def replayed(recording: Recording) -> Iterator[ReplayedTick]:
+    """Yield a tick for each that was recorded, with inputs as the planner received them."""
+    known, simulated = recording.settings, recording.simulated
+    planner = OfflinePlanner(known, f'{recording.namespace}/planner')
+    planner.inputs.lag = known.step if simulated else 0.0
+    # Whether a goal could be transformed is not recorded.
+    frame = '' if known.tf or known.transforms else known.frame_id
+    probed = replace(known, goal_prediction='hold', frame_id=frame)
+    inputs, clock, counts = list(recording.inputs), None, dict[str, int]()
+    for recorded in recording.answers:
+        sent = inputs[: bisect_right(inputs, recorded.sent, key=lambda each: each.sent)]
+        until = _until(sent, recorded)
+        came = [each for each in sent if each.sent <= until[each.topic]]
+        inputs[: len(sent)] = [each for each in sent if each.sent > until[each.topic]]
+        counted = recorded.answer.get('goal_counts', {})
+        lost, refusals = _lost(came, counts, counted, probed), list[str]()
+        counts |= counted
+        for each in came:
+            if each.topic == CLOCK:
+                clock = each.stamp
+            elif each not in lost:
+                now, ros = each.sent / SECOND, clock if simulated else each.sent
+                refusals.append(planner.inputs.update(each.topic, each.content, now, ros))
+        delay = 0.0 if simulated else (recorded.sent - recorded.stamp) / SECOND
+        decision = _decision(planner, recorded, delay)
+        answer = published(planner.messages(decision, recorded.stamp))
+        delay = recorded.answer.get('sent', delay)
+        at = (recorded.stamp + round(delay * SECOND)) / SECOND
+        planner.planner.sent(recorded_command(known, decision.command, recorded.answer), at)
+        yield ReplayedTick(recorded, answer, tuple(filter(None, refusals)), decision)
+
+
+def _decision(planner: OfflinePlanner, recorded: RecordedTick, delay: float) -> Decision:
+    """Decide again; ``delay`` [s] is the age of the odometry if the tick tells none."""
+    answer, stop = recorded.answer, None
+    word = answer.get('cause')
+    cause = Cause(word) if word in list(Cause) else Cause.NONE
+    if cause in (Cause.AFRESH, Cause.RESET):
+        planner.start_afresh(wind=cause is Cause.RESET)
+    if not recorded.planned:
+        stop = Reason(cause, answer.get('reason', ''))
+    elif planner.stamp != recorded.stamp:
+        stop = Reason(Cause.WAITING, 'its odometry was refused, or a goal is missing')
+    ros = recorded.stamp + round(answer.get('advanced', delay) * SECOND)
+    return planner.decide(recorded.sent / SECOND, ros, stop)
+
+
+def recorded_command(settings: PlannerSettings, command: Command, answer: Answer) -> Command:
+    """Return a command with the speed or thrust and the body rate that an answer tells."""
+    problem = settings.problem
+    name, weight = ('force', settings.mass) if problem.inertial else ('speed', 1.0)
+    if name in answer:
+        command = replace(command, speed_fraction=answer[name] / (weight * problem.forward))
+    if 'body_rate' in answer:
+        turned = settings.frames.turned(answer['body_rate'])
+        command = replace(command, body_rate=turned[-len(command.body_rate) :].copy())
+    return command
+
+
+def _lost(
+    came: Sequence[Message], before: Answer, now: Answer, known: PlannerSettings
+) -> list[Message]:
+    """Return the goals that the planner never received, from its counts ``before`` and ``now``.
+
+    Its queues hold one message: of several acceptable goals, it received the newest.
+    """
+    lost: list[Message] = []
+    for topic in now.keys() & GOALS:
+        probe, goals = Inputs(known), [each for each in came if each.topic == topic]
+        good = [each for each in goals if not probe.update(topic, each.content, 0.0)]
+        lost += good[: max(0, len(good) - (now[topic] - before.get(topic, 0)))]
+    return lost
+
+
+def _until(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
+    """Return the time of sending of the last input that a tick used, by topic [ns].
+
+    The stamps in a tick identify its input messages. For inputs without stamps there, the times of
+    sending decide, which ignores the transport delay.
+    """
+    answer, topics = recorded.answer, {each.topic for each in sent}
+
+    def last(topic: str, stamp: int | None) -> int:
+        """Return when the last message with a stamp was sent [ns]; -1 if there is none."""
+        found = (each.sent for each in sent if each.topic == topic and each.stamp == stamp)
+        return max(found, default=-1)
+
+    measured = last('odom', recorded.stamp)
+    # If times are mere stamps, a solve seems to take no time: inputs before the odometry count.
+    begun = max(recorded.sent - round(1e6 * answer.get('solve_time_ms', 0.0)), measured)
+    until = dict.fromkeys(topics, begun)
+    if measured >= 0 or recorded.solved:  # else the odometry belongs to an earlier answer
+        until['odom'] = measured
+    stamps = answer.get('goal_stamps', {})
+    if recorded.planned:  # other ticks have no stamps of traffic
+        traffic = dict.fromkeys(topics - {*READ, *TRANSFORMS, CLOCK}, None)
+        stamps = traffic | answer.get('traffic_stamps', {}) | stamps
+    return until | {topic: last(topic, stamp) for topic, stamp in stamps.items()}
+
+
 # --- differences, and how large they may be
 
 
@@ -114,9 +358,9 @@ class Comparison(NamedTuple):
         return where + (off if math.isfinite(self.apart) else '')
 
 
-def compared(replayed: Sequence[ReplayedTick], settings: PlannerSettings) -> Iterator[Comparison]:
+def compared(ticks: Sequence[ReplayedTick], settings: PlannerSettings) -> Iterator[Comparison]:
     """Yield the comparisons of all ticks: one for every quantity that was recorded."""
-    for tick, each in enumerate(replayed):
+    for tick, each in enumerate(ticks):
         then, now = each.recorded.answer, each.answer
         for quantity in QUANTITIES:
             before, after = then.get(quantity), now.get(quantity)

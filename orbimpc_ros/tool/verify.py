@@ -27,9 +27,9 @@ from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.document import Document, Unproved, certificate_of, refutation, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of
-from orbimpc_ros.tool import bags, files, recording
+from orbimpc_ros.tool import bags, files, replay
 from orbimpc_ros.tool.files import folder_at
-from orbimpc_ros.tool.recording import Answer
+from orbimpc_ros.tool.replay import Answer
 
 LARGEST = 64 << 20  # [bytes] of a certificate's file
 COST, CATCH = 'cost', 'catch'
@@ -114,9 +114,9 @@ def _bag(
     if tick is None:
         for message in bags.of_vehicle(path, namespace, {'certificate'}, needed=()):
             yield _published(bytes(message.content.data))
-    known = recording.recording_of(path, namespace, params, tick=tick)
+    known = replay.recording_of(path, namespace, params, tick=tick)
     gc.freeze()  # else each full collection scans all imported objects
-    for number, each in enumerate(recording.replayed(known)):
+    for number, each in enumerate(replay.replayed(known)):
         if tick in (None, number):
             yield from _tick(number, each.recorded.answer, each.decision, out)
 
