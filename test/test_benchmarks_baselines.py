@@ -14,9 +14,8 @@ from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.tool import flights, settings
-from orbimpc_ros.tool.flights import flown
-from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
+from orbimpc_ros.tool import offline, settings
+from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop, flown
 from orbimpc_ros.tool.study import draws_of
 
 STEERING = [name for name in BASELINES if name != 'waypoint']
@@ -85,20 +84,19 @@ class Listener(Baseline):
         return super().step(snapshot, now, late)
 
 
-def flown_on(values, steps, clock=None, margin=0.0):
+def flown_on(values, steps, clock=None):
     """Return a baseline that has flown the first steps of a flight."""
     known = planner_settings(values)
     pilot = Listener(known)
     planner = OfflinePlanner(known, clock=clock, planner=pilot)
-    loop = closed_loop(planner, sim_settings(settings.of_sim(values)), margin)
+    loop = closed_loop(planner, sim_settings(settings.of_sim(values)))
     assert len(list(itertools.islice(loop, steps))) == steps
     return pilot
 
 
 def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():
-    mission = draws_of('crossing')
-    values = mission.of(4, 0)
-    pilot = flown_on(values, 3, margin=mission.margin)
+    values = draws_of('crossing').of(4, 0)
+    pilot = flown_on(values, 3)
     time, state, *_ = pilot.seen[-1]
     drawn = np.array(values['traffic']).reshape(-1, 5)
     centres, velocities, radii = drawn[:, :2], drawn[:, 2:4], drawn[:, 4]
@@ -122,9 +120,9 @@ def test_deadlines_go_by_the_given_clock(hurry, late):
 def test_a_flight_ends_where_it_touches(monkeypatch):
     straight = ('traffic=[9.0, 0.0, 0.0, 0.0, 2.0]', 'start.orientation=[0.0, 0.0, 0.0, 1.0]')
     given = SimpleNamespace(baseline_named=lambda _name, known, _study: Listener(known))
-    monkeypatch.setattr(flights, 'baselines', lambda: given)
+    monkeypatch.setattr(offline, 'baselines', lambda: given)
     draws = draws_of('crossing', straight)
-    found = flown('crossing', 'straight', 0, draws.of(4, 0), draws.margin)
+    found = flown('crossing', 'straight', 0, draws.of(4, 0))
     assert found['touched']
     assert not found['caught']
     assert found['time'] is None

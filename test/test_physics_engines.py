@@ -20,7 +20,7 @@ from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import Kind, class_of
 from orbimpc_ros.sim.world import departure, outcome
-from orbimpc_ros.tool import flights as study
+from orbimpc_ros.tool import offline
 from orbimpc_ros.tool.study import draws_of
 
 BASILISK = "Basilisk is not installed: pip install 'orbimpc_ros[basilisk]' runs this"
@@ -339,6 +339,6 @@ def test_its_own_guidance_flies_to_a_waypoint(request, name, own, there, seconds
 def test_the_planner_does_its_job(request, name, task, most):
     """On the first flight of a seed that no study has used."""
     request.getfixturevalue(name)
-    row = study.flown(task, 'orbitope', 0, draws_of(task).of(901, 0))
+    row = offline.flown(task, 'orbitope', 0, draws_of(task).of(901, 0))
     assert row['caught']
     assert all(row[field] < value for field, value in most.items())

@@ -15,8 +15,8 @@ from harness import PATIENCE, ROOT, TOOL, wait_for
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.tool import cli, flights, settings
-from orbimpc_ros.tool.flights import OURS, flown
+from orbimpc_ros.tool import cli, files, offline, settings, study
+from orbimpc_ros.tool.offline import OURS, flown
 from orbimpc_ros.tool.settings import config
 from orbimpc_ros.tool.study import draws_of, report
 
@@ -81,7 +81,7 @@ def test_a_study_has_what_the_one_it_is_based_on_has():
     base, own = draws_of('retrieval'), draws_of('retrieval_small')
     assert {k for k in own.values if own.values[k] != base.values[k]} == {'capture_radius'}
     assert own.rules == base.rules
-    assert draws_of('gates').margin == draws_of('crossing').margin > 0.0
+    assert draws_of('gates').values == draws_of('crossing').values
 
 
 FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodies: 1,
@@ -91,7 +91,7 @@ FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodie
 @pytest.mark.parametrize(
     ('text', 'named'),
     [
-        ('{about: a, set: [], draw: {}}', 'allowed: about, config, set, draw'),
+        ('{about: a, set: [], draw: {}}', 'needed: about, config, set, draw'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: {half: 3}}}', 'draw: seed is {'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: 3}}', 'draw: seed is 3'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: [0, 9]}}', r'seed is \d\.\d+'),
@@ -99,7 +99,7 @@ FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodie
         ('{about: a, config: retrieval.yaml, set: [], draw: []}', 'draw is'),
         ('{about: a, config: retrieval.yaml, set: 3, draw: {}}', 'set is 3'),
         ('{about: a, config: retrieval.yaml, set: [3], draw: {}}', '--set is 3'),
-        ('{about: a, config: retrieval.yaml, set: [], draw: {}, margin: x}', 'margin is x'),
+        ('{about: a, config: retrieval.yaml, set: [], draw: {}, margin: 1}', 'margin'),
         ('{about: a, config: ./own.yaml, set: [], draw: {}}', 'config is ./own.yaml; allowed'),
         ('{about: a, config: ../x.yaml, set: [], draw: {}}', 'no such file'),
         (FAR_AWAY, 'no body starts 99 m clear'),
@@ -113,7 +113,7 @@ def test_a_malformed_study_is_refused(text, named, tmp_path):
 
 def job(name, controller=OURS, index=0, *changes, seed=1):
     draws = draws_of(name, changes)
-    return name, controller, index, draws.of(seed, index), draws.margin
+    return name, controller, index, draws.of(seed, index)
 
 
 @pytest.mark.parametrize('name', [OURS, 'pursuit', 'lead', 'proportional'])
@@ -196,23 +196,23 @@ def test_a_report_has_a_row_for_each_controller():
 
 def test_results_go_on_where_they_were_cut_off_and_only_with_the_same_study(tmp_path):
     file, about = tmp_path / 'flights.jsonl', {'seed': 3, 'version': '1'}
-    assert flights.rows_of(file, about, resumed=False) == {}
+    assert study.rows_of(file, about, resumed=False) == {}
     row = flight(OURS, 0, 1.0)
     with file.open('a') as out:
         out.write(json.dumps(row) + '\n{"controller": "orbitope", "ind')
-    assert flights.rows_of(file, about, resumed=True) == {(OURS, 0): row}
+    assert study.rows_of(file, about, resumed=True) == {(OURS, 0): row}
     assert len(file.read_text().splitlines()) == 2
     for other, named in (({'seed': 4}, 'seed'), ({'version': '2'}, 'version')):
         with pytest.raises(BadInput, match=f'a study with other {named}'):
-            flights.rows_of(file, about | other, resumed=True)
+            study.rows_of(file, about | other, resumed=True)
     with pytest.raises(BadInput, match='--resume'):
-        flights.rows_of(file, about, resumed=False)
+        study.rows_of(file, about, resumed=False)
     with pytest.raises(BadInput, match='no study'):
-        flights.rows_of(tmp_path / 'none.jsonl', about, resumed=True)
+        study.rows_of(tmp_path / 'none.jsonl', about, resumed=True)
     for damage in ('{"seed": 3', '{}\n[]\n', '\x00\n', ''):
         file.write_text(damage)
         with pytest.raises(BadInput, match=r'damaged|other'):
-            flights.rows_of(file, about, resumed=True)
+            study.rows_of(file, about, resumed=True)
 
 
 def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tool, tmp_path):
@@ -261,18 +261,18 @@ def test_the_workers_of_a_cluster_fly_the_same(tmp_path, capsys):
 @pytest.mark.parametrize('address', ['tcp://127.0.0.1:1', 'pigeon://coop', '127.0.0.1:no'])
 def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch):
     pytest.importorskip('distributed')
-    monkeypatch.setattr(flights, 'PATIENCE', 0.5)
-    with pytest.raises(BadInput, match='--cluster is'), flights.workers(address, 1):
+    monkeypatch.setattr(study, 'PATIENCE', 0.5)
+    with pytest.raises(BadInput, match='--cluster is'), study.workers(address, 1):
         pass
 
 
 def test_a_flight_that_ends_with_an_error_is_reported(monkeypatch):
-    monkeypatch.setattr(flights, 'sim_settings', lambda values: 1 / 0)
+    monkeypatch.setattr(offline, 'sim_settings', lambda values: 1 / 0)
     with ThreadPoolExecutor(1) as pool, pytest.raises(OrbimpcError, match='ZeroDivision'):
-        list(flights.each_flown(pool, [job('retrieval')], lambda: True))
+        list(study.each_flown(pool, [job('retrieval')], lambda: True))
 
 
-def test_baselines_need_a_clone(monkeypatch):
-    monkeypatch.setattr(flights, 'BASELINES', 'benchmarks_that_are_not_there')
-    with pytest.raises(BadInput, match='run it from a clone'):
-        flights.baselines()
+def test_baselines_need_a_clone(monkeypatch, tmp_path):
+    monkeypatch.setattr(files, 'CLONE', tmp_path)
+    with pytest.raises(BadInput, match='--controllers: not installed; run it from a clone'):
+        offline.baselines()

@@ -108,15 +108,10 @@ def sensed(stamp: Stamp, content: Seen) -> tuple[str, Any]:
     return 'goal', messages.goal_message(stamp, content.position)
 
 
-def surroundings(
-    stamp: Stamp, flight: Flight, margin: float = 0.0
-) -> Iterator[tuple[str, MarkerArray | Path]]:
-    """Yield the messages to a planner on bodies and the goal's path, if any, with their topics.
-
-    Bodies are larger than they are by a margin [m].
-    """
+def surroundings(stamp: Stamp, flight: Flight) -> Iterator[tuple[str, MarkerArray | Path]]:
+    """Yield the messages to a planner on bodies and the goal's path, if any, with their topics."""
     if flight.settings.traffic:
-        yield 'obstacles', traffic_markers(stamp, flight, margin)
+        yield 'obstacles', traffic_markers(stamp, flight)
     if steps := flight.settings.goal_path_steps:
         step, rope = flight.settings.model.step, flight.settings.rope
         ahead = [pose(rope.at(flight.vehicle.time + step * k)) for k in range(steps + 1)]
@@ -178,9 +173,9 @@ def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
     return MarkerArray(markers=[rope, swing, vehicle])
 
 
-def traffic_markers(stamp: Stamp, flight: Flight, margin: float = 0.0) -> MarkerArray:
-    """Return markers of the moving balls at their current positions, larger by a margin [m]."""
-    model, markers = flight.settings.model, []
+def traffic_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
+    """Return markers of the moving balls at their current positions, larger by the margin."""
+    model, margin, markers = flight.settings.model, flight.settings.traffic_margin, []
     for k, each in enumerate(flight.settings.traffic):
         assert isinstance(each.body, Ball)
         place = each.body.centre + each.moved(np.array([flight.vehicle.time]))[0]

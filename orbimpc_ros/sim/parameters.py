@@ -127,6 +127,8 @@ class SimSettings(VehicleParameters):
     given_traffic: tuple[float, ...] = parameter('traffic', (), 'Balls (discs in the plane) at '
         'constant velocity, published on obstacles: for each its position at the start, velocity '
         'and radius', 'm, m/s', -FAR, FAR)
+    traffic_margin: float = parameter('traffic_margin', 0.0,
+        'Added to the published radii of traffic', 'm', 0.0, FAR)
     start_position: tuple[float, ...] = parameter('start.position', ALONG_AXES,
         'Where the vehicle starts: x, y, z', 'm', -FAR, FAR)
     start_orientation: tuple[float, ...] = parameter('start.orientation', (0.0, 0.0, 0.0, 1.0),

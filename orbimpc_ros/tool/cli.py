@@ -9,14 +9,13 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
 from orbimpc_ros import __version__
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError
 from orbimpc_ros.ros.entry import in_a_line, report_compilation, without_compiler
-from orbimpc_ros.tool.files import why
+from orbimpc_ros.tool.files import in_clone, why
 
 DONE, FAILED, BAD_INPUT, INFEASIBLE = 0, 1, 2, 3
 CODES: dict[type[OrbimpcError], int] = {BadInput: BAD_INPUT, Infeasible: INFEASIBLE}
@@ -26,7 +25,6 @@ EXIT_CODES = 'exit codes: 0 done, 1 failed or different, 2 bad input, 3 infeasib
 IN_CLONE = ('bench', 'faults')  # in benchmarks/, which is not installed
 PLANNING = ('bench', 'demo', 'study')  # long runs, which report a missing compiler
 SOLVING = ('bench', 'replay', 'solve', 'study', 'verify')  # in this process: may compile first
-CLONE = Path(__file__).resolve().parents[2]
 Argument = tuple[tuple[str, ...], dict[str, Any]]  # of ``add_argument``: names and options
 
 
@@ -108,15 +106,9 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _module(command: str) -> ModuleType:
-    if command not in IN_CLONE:
-        return import_module(f'orbimpc_ros.tool.{command}')
-    if not (CLONE / 'benchmarks' / '__init__.py').is_file():
-        raise BadInput.stating(f'orbimpc {command}', 'not installed', 'run it from a clone')
-    if str(CLONE) not in sys.path:
-        sys.path.append(str(CLONE))
-        known = os.environ.get('PYTHONPATH')  # for child processes
-        os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), known)))
-    return import_module(f'benchmarks.{command}')
+    if command in IN_CLONE:
+        return in_clone(command, f'orbimpc {command}')
+    return import_module(f'orbimpc_ros.tool.{command}')
 
 
 def _complain(message: str) -> None:

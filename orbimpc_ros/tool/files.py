@@ -1,15 +1,18 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Files named by the user, with one-line errors if they cannot be read or written."""
+"""Files of users and of the clone, with one-line errors if they cannot be read or written."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from collections import Counter
 from collections.abc import Hashable
 from contextlib import nullcontext, suppress
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, BinaryIO
 
 import yaml
@@ -20,6 +23,7 @@ LARGEST = 1 << 18  # [bytes] of a document
 MAX_NUMBER = 1e12  # rounding errors in larger squares exceed the quantities of a plan
 ALLOWED = 'a JSON or YAML mapping is needed'
 WRITABLE = 'a folder to write to is needed'
+CLONE = Path(__file__).resolve().parents[2]
 
 
 def why(error: OSError) -> str:
@@ -172,3 +176,21 @@ def new_folder(out: str, name: str) -> Path:
         number += 1
         folder = folder.with_name(f'{name}-{number}')
     return folder_at(folder)
+
+
+# --- the clone
+
+
+def in_clone(name: str, asked: str) -> ModuleType:
+    """Return a module of ``benchmarks/``, which is not installed, for this and child processes.
+
+    Raises:
+        BadInput: the package is not run from a clone; the error names what was ``asked`` for.
+    """
+    if not (CLONE / 'benchmarks' / '__init__.py').is_file():
+        raise BadInput.stating(asked, 'not installed', 'run it from a clone')
+    if str(CLONE) not in sys.path:
+        sys.path.append(str(CLONE))
+        known = os.environ.get('PYTHONPATH')
+        os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), known)))
+    return import_module(f'benchmarks.{name}')

@@ -1,10 +1,12 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""The planner without its node: from messages to decisions, or to the messages of these."""
+"""The planner without its node, and its flights with a vehicle in one process."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -13,14 +15,21 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalObservation
 from orbimpc_ros.loop.planner import Decision, Planner
 from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.ros.messages import SECOND, Stamp, command_messages
-from orbimpc_ros.ros.parameters.planner import PlannerSettings
+from orbimpc_ros.ros.parameters.planner import PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import report_messages
 from orbimpc_ros.ros.topics import resolving
+from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.outputs import View, sensed, surroundings
-from orbimpc_ros.sim.parameters import SimSettings
+from orbimpc_ros.sim.parameters import SimSettings, sim_settings
 from orbimpc_ros.sim.world import Flight, departure
+from orbimpc_ros.tool import settings
+from orbimpc_ros.tool.files import in_clone
+
+Row = dict[str, Any]
+OURS = 'orbitope'  # this package's controller
 
 
 class OfflinePlanner(Core):
@@ -90,7 +99,7 @@ class OfflinePlanner(Core):
 
 
 def closed_loop(
-    planner: OfflinePlanner, settings: SimSettings, margin: float = 0.0
+    planner: OfflinePlanner, settings: SimSettings
 ) -> Iterator[tuple[Flight, Decision | None]]:
     """Yield a flight at each step, with the decision then.
 
@@ -100,7 +109,6 @@ def closed_loop(
     Args:
         planner: of the vehicle.
         settings: of the simulator, with faults between the vehicle and its planner.
-        margin: added to the reported radii of the balls in the traffic [m].
     """
     flight, view, faults = departure(settings), View(settings), settings.faults
     answered, came = planner.stamp, -math.inf
@@ -110,7 +118,7 @@ def closed_loop(
     while True:
         now, decision = flight.vehicle.time, None
         shown = now + faults.jumped(flight.ticks)
-        for topic, message in surroundings(planner.at(shown), flight, margin):
+        for topic, message in surroundings(planner.at(shown), flight):
             planner.hear(topic, message, shown)
         for seen in view.of(flight):
             planner.sense(shown, seen, seen.time + shown - now)
@@ -122,3 +130,84 @@ def closed_loop(
         if flight.over:
             return
         flight = flight.after(*order, came + settings.command_timeout - now)
+
+
+# --- flights of a study
+
+
+def flown(study: str, controller: str, index: int, values: settings.Values) -> Row:
+    """Fly and return the row of a flight.
+
+    Args:
+        study: its name, by which baselines find their tuned parameters.
+        controller: :data:`OURS`, or the name of a baseline.
+        index: of the flight.
+        values: of all parameters, drawn ones included.
+
+    Returns:
+        ``controller`` and ``index``; ``caught``, ``time`` to the catch [s] (None without one),
+        ``touched`` (whether it ended in a collision), ``failed`` (error of an engine, if any); the
+        numbers of ``ticks``, of ``optimal`` and of ``unplanned`` (fallback) ones; ``p50_ms`` and
+        ``longest_ms``, the processor time of a tick; and the row of :func:`_of_way`.
+    """
+    simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
+    pilot: Any = None  # this package's planner
+    if controller != OURS:
+        pilot = baselines().baseline_named(controller, given, study)
+    # Ticks are measured in processor time, because other processes may load the machine.
+    planner = OfflinePlanner(given, clock=time.thread_time, planner=pilot)
+    way, ticks, failed = list[Flight](), list[Decision](), ''
+    try:
+        for flight, decision in closed_loop(planner, simulated):
+            way.append(flight)
+            if flight.over or flight.touched:
+                break
+            if decision is not None:
+                ticks.append(decision)
+            if controller != OURS:
+                pilot.steer(flight)
+    except EngineFailure as error:
+        failed = str(error)
+    spent = [decision.solve_time_ms for decision in ticks] or [0.0]
+    return {
+        'controller': controller,
+        'index': index,
+        'caught': flight.captured,
+        'time': flight.missed_at if flight.captured else None,
+        'touched': bool(flight.touched),
+        'failed': failed,
+        'ticks': len(ticks),
+        'optimal': sum(decision.status is Status.OPTIMAL for decision in ticks),
+        'unplanned': sum(decision.fallback is not Fallback.NONE for decision in ticks),
+        'p50_ms': float(np.median(spent)),
+        'longest_ms': max(spent),
+        **_of_way(way),
+    }
+
+
+def baselines() -> Any:
+    """Return the package of the baselines.
+
+    Raises:
+        BadInput: the package is not run from a clone of the repository.
+    """
+    return in_clone('baselines', '--controllers')
+
+
+def _of_way(way: Sequence[Flight]) -> Row:
+    """Return the results on the trajectory of a flight.
+
+    The ``closest`` distance to the goal [m] and ``stalls``; of an arrival, the final distance
+    ``missed`` [m] and ``speed`` [m/s]; of a vehicle in an engine, its least ``airspeed`` [m/s] and
+    the largest magnitude of each quantity that the engine reports, such as its ``bank`` [rad].
+    """
+    last = way[-1]
+    row = {'closest': min(flight.miss for flight in way), 'stalls': last.stalls}
+    if last.settings.finish == 'arrival':
+        row |= {'missed': last.distance, 'speed': last.speed}
+    if last.vehicle.engine is not None:
+        row['airspeed'] = last.least_airspeed
+        trail = (vehicle.facts for flight in way for vehicle in flight.trail if not vehicle.caught)
+        for name, value in chain.from_iterable(facts.items() for facts in trail):
+            row[name] = max(row.get(name, 0.0), abs(value))
+    return row

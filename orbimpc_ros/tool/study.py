@@ -1,7 +1,8 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """``orbimpc study``: fly many random tasks of one vehicle, and report how they end.
 
-The report is a table, with a plot of the share caught over time.
+The report is a table, with a plot of the share caught over time. The results are saved in a file, a
+line for each flight, so that an interrupted study can resume.
 
 A study file names a parameter file, and has a rule for each random parameter:
 
@@ -17,8 +18,6 @@ A study file names a parameter file, and has a rule for each random parameter:
 
 It is based (``config``) on a file in ``config/``, or at a path from the study file such as
 ``./boat.yaml``: a parameter file, or another study, to which it adds its values and rules.
-``margin`` [m] enlarges the reported radii of the discs, because the vehicle has an extent and
-disturbances move it off its plans.
 
 A parameter file without rules is a study, too: every flight draws the direction of the goal, the
 phase of its swing, the initial heading and the noise seed. If the planner compensates for lags,
@@ -27,10 +26,16 @@ the vehicle has them.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
+import multiprocessing
+import os
+import signal
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,11 +44,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from orbimpc_ros import __version__
-from orbimpc_ros.mpc.arrays import Array, number, whole
-from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.arrays import Array, fields_of, whole
+from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.tool import files, settings
 from orbimpc_ros.tool.files import folder_at, new_folder
-from orbimpc_ros.tool.flights import OURS, Job, Row, baselines, each_flown, rows_of, workers
+from orbimpc_ros.tool.offline import OURS, Row, baselines, flown
 from orbimpc_ros.tool.plot import Panel, draw_panel, in_both_looks
 from orbimpc_ros.tool.processes import ProgressLine, interruptions
 from orbimpc_ros.tool.settings import Values, config
@@ -55,6 +60,10 @@ FIELDS = {'about': str, 'config': str, 'set': list, 'draw': dict}  # of a study 
 MOST_TRIES = 10_000  # to draw a body that is clear of the origin
 TURN = [-math.pi, math.pi]
 LARGEST_DRAWN = 2**31 - 1  # for seeds of the noise
+PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
+GLANCE = 0.2  # [s] between checks for a signal
+Key = tuple[str, int]  # controller, and number of a flight
+Job = tuple[str, str, int, Values]  # arguments of :func:`flown`
 Rows = Mapping[str, Sequence[Row]]  # by controller, flights in the same order
 
 
@@ -89,20 +98,19 @@ def run(
         'seed': seed,
         'values': draws.values,
         'rules': draws.rules,
-        'margin': draws.margin,
         'tuned': {n: baselines().tuned_of(draws.name).get(n, {}) for n in names if n != OURS},
     }
     folder = _folder(out, draws.name)
-    flown = rows_of(folder / FLIGHTS, about, resumed=resume)
+    done = rows_of(folder / FLIGHTS, about, resumed=resume)
     jobs = [
-        (draws.name, name, index, draws.of(seed, index), draws.margin)
+        (draws.name, name, index, draws.of(seed, index))
         for index in range(runs)
         for name in names
-        if (name, index) not in flown
+        if (name, index) not in done
     ]
     if jobs:
-        _fly(flown, jobs, folder / FLIGHTS, runs * len(names), cluster, workers)
-    rows = {name: [flown[name, k] for k in range(runs)] for name in names}
+        _fly(done, jobs, folder / FLIGHTS, runs * len(names), cluster, workers)
+    rows = {name: [done[name, k] for k in range(runs)] for name in names}
     text = report(draws, rows)
     (folder / REPORT).write_text(text)
     draw(draws, rows, folder / PICTURE)
@@ -128,7 +136,7 @@ def _controllers(given: str) -> list[str]:
 
 
 def _fly(
-    flown: dict[tuple[str, int], Row],
+    known: dict[Key, Row],
     jobs: Sequence[Job],
     file: Path,
     total: int,
@@ -144,7 +152,7 @@ def _fly(
     ):
         progress.show(done, f'{done} of {total} flights')
         for row in each_flown(pool, jobs, lambda: not received):
-            flown[row['controller'], row['index']] = row
+            known[row['controller'], row['index']] = row
             out.write(json.dumps(row) + '\n')
             done += 1
             progress.show(done, f'{done} of {total} flights')
@@ -152,6 +160,87 @@ def _fly(
     if done < total:
         print(f'kept {done} of {total} flights in {file.parent}; --resume continues them')
         raise KeyboardInterrupt
+
+
+def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Row]:
+    """Return the rows in a study's file, which is created or resumed.
+
+    Args:
+        file: of the study; a truncated last line is removed.
+        about: specification of the study, in JSON's types.
+        resumed: whether the file is resumed.
+
+    Raises:
+        BadInput: the file is of another study, is damaged, is missing, or exists already.
+    """
+    if file.exists() != resumed:
+        there = 'no study to continue' if resumed else 'a study already'
+        raise BadInput(str(file), there, 'another -o DIR' if resumed else '--resume')
+    kept: dict[Key, Row] = {}
+    if resumed:
+        try:
+            whole = file.read_text().rpartition('\n')[0]
+            head, *rows = map(json.loads, whole.splitlines())
+            differ = [n for n in about if head.get(n) != json.loads(json.dumps(about[n]))]
+            kept = {(row['controller'], row['index']): row for row in rows}
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+            raise BadInput(str(file), 'damaged', 'the results of a study') from None
+        if differ:
+            raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
+    file.write_text(''.join(json.dumps(each) + '\n' for each in (about, *kept.values())))
+    return kept
+
+
+def each_flown(pool: Executor, jobs: Sequence[Job], going: Callable[[], bool]) -> Iterator[Row]:
+    """Yield the rows of flights as they are completed, as long as ``going()``.
+
+    Raises:
+        OrbimpcError: a flight ended with an error, or its process did.
+    """
+    pending: set[Future[Row]] = {pool.submit(flown, *job) for job in jobs}
+    try:
+        while pending and going():
+            done, pending = wait(pending, GLANCE, FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    except OrbimpcError:
+        raise
+    except Exception as error:  # any error of a worker or of its connection
+        raise OrbimpcError(f'a flight failed: {type(error).__name__}: {error}') from error
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+@contextmanager
+def workers(cluster: str | None, count: int | None) -> Iterator[Executor]:
+    """Yield an executor: processes on this machine, or the workers of a Dask cluster.
+
+    Args:
+        cluster: address of a running scheduler, such as ``tcp://host:8786``; None for this machine.
+        count: processes on this machine; by default one per core.
+
+    Raises:
+        BadInput: no scheduler answers, or it has no workers.
+    """
+    if cluster is None:
+        context = multiprocessing.get_context('spawn')
+        threads = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'), '1')
+        os.environ.update(threads)  # processes take all cores: threads would compete
+        deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        with ProcessPoolExecutor(count, context, *deaf) as pool:
+            yield pool
+        return
+    import distributed
+
+    try:
+        client = distributed.Client(cluster, timeout=PATIENCE)
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except (OSError, asyncio.TimeoutError, TypeError, ValueError) as error:
+        tried = f'{cluster} ({type(error).__name__})'
+        raise BadInput('--cluster', tried, 'the address of a scheduler with workers') from None
+    with client:
+        yield client.get_executor(pure=False)
 
 
 # --- random parameters
@@ -165,7 +254,6 @@ class Draws:
     about: str  # the task, in one line
     values: Values  # the parameters common to all flights
     rules: Mapping[str, Rule]  # for random parameters, by name
-    margin: float = 0.0  # added to the reported radii of bodies in the traffic [m]
 
     def of(self, seed: int, index: int) -> Values:
         """Return all parameters of a flight; each random one has its own random stream."""
@@ -209,8 +297,7 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
         if not {parameter, parameter.removeprefix(settings.OF_SIM)} & fixed
     }
     title = Path(name).stem if name.endswith('.yaml') else name
-    margin = number(content.get('margin', 0.0), f'{name}: margin', 0.0)
-    draws = Draws(title, content['about'], values, free, margin)
+    draws = Draws(title, content['about'], values, free)
     for parameter in free:
         if parameter not in settings.ROWS:
             raise BadInput.unknown('parameter', parameter, settings.ROWS, f'{name}: draw')
@@ -239,20 +326,17 @@ def _content(file: Path, *above: Path) -> Values:
         vehicle = ['vehicle=continuous'] if lags and 'vehicle' not in stated else []
         about = f'goals all around, as in {file.name}'
         return {'about': about, 'config': file, 'set': vehicle, 'draw': None}
-    known = set(content) if isinstance(content, dict) else set()
-    if known - {'margin'} != FIELDS.keys():
-        raise BadInput(str(file), sorted(known), f'{", ".join(FIELDS)} and, if needed, margin')
+    known = fields_of(content, str(file), FIELDS)
     for name, kind in FIELDS.items():
-        if not isinstance(content[name], kind):
-            raise BadInput(f'{file}: {name}', content[name], 'as in docs/recording.md')
-    named = content['config']
+        if not isinstance(known[name], kind):
+            raise BadInput(f'{file}: {name}', known[name], 'as in docs/recording.md')
+    named = known['config']
     base = file.parent / named if '/' in named else config(named)
     if base.resolve() in (file.resolve(), *above):
         raise BadInput(f'{file}: config', named, 'a file that is not based on this one')
     below = _content(base, file.resolve(), *above)
-    rules = (below['draw'] or {}) | content['draw']
-    found: Values = below | content
-    return found | {'config': below['config'], 'set': below['set'] + content['set'], 'draw': rules}
+    rules, changes = (below['draw'] or {}) | known['draw'], below['set'] + known['set']
+    return {'about': known['about'], 'config': below['config'], 'set': changes, 'draw': rules}
 
 
 def _default_rules(values: Values) -> dict[str, Rule]:
