@@ -24,8 +24,7 @@ ROS = (
     *('builtin_interfaces', 'diagnostic_msgs', 'geometry_msgs', 'lifecycle_msgs', 'nav_msgs'),
     *('rcl_interfaces', 'rclpy', 'rosgraph_msgs', 'std_msgs', 'std_srvs', 'visualization_msgs'),
 )
-# Extras that bring a package.
-EXTRAS = dict.fromkeys(ROS, 'ros') | {'distributed': 'study', 'rerun': 'view', 'rerun_cli': 'view'}
+EXTRAS = dict.fromkeys(ROS, 'ros') | {'distributed': 'study', 'rerun': 'view'}  # by package
 PACKAGES = {'planner': 'orbimpc_ros.ros.planner', 'sim': 'orbimpc_ros.sim'}
 DONE, BAD_INPUT = 0, 2  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
