@@ -14,8 +14,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from orbimpc_ros.loop.compensation import Odometry, WindReport
-from orbimpc_ros.loop.goal.bank import BELIEVED, MEMORY, Bank
-from orbimpc_ros.loop.goal.forecast import FORECASTS
+from orbimpc_ros.loop.goal.forecast import BELIEVED, FORECASTS, MEMORY, Bank
 from orbimpc_ros.loop.goal.motion import GoalObservation, Paced, Route
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.mpc.errors import BadInput

@@ -322,7 +322,7 @@ class Compensator:
         odometry = along_the_air(measured) if self._sideslip else measured
         limited = self.observe(odometry, wind) if self._estimated else ''
         coming = [] if now is None else self.history.intervals(now - latency, now)
-        odometry = self._settled(self.advanced(odometry, coming))
+        odometry = self._settled(odometry, coming)
         led = self.response.lead(self._problem)
         told = {
             'advanced': latency if coming else 0.0,
@@ -397,20 +397,21 @@ class Compensator:
                 air, share, rate = air + (later - share) * full, later, reached
         return arcs, air, rate
 
-    def _settled(self, measured: Odometry) -> Odometry:
-        """Return the state from which a vehicle without lags would fly the same path, a lag later.
+    def _settled(self, measured: Odometry, intervals: list[Interval]) -> Odometry:
+        """Return the state, after intervals, from which a vehicle without lags flies the same path.
 
-        A thrust that settles from f to c leaves a residual speed of z tau (f - c) at all times; its
-        axis is turned by the remaining rotation.
+        It does so a lag later. A thrust that settles from f to c leaves a residual speed of
+        z tau (f - c) at all times; its axis is turned by the remaining rotation.
         """
         problem, response, coming = self._problem, self.response, self.history.coming
+        time = response.lead(problem)
+        if time > 0.0 and not problem.inertial:
+            intervals = [*intervals, Interval(time, None, None)]
+        settled = measured = self.advanced(measured, intervals)
         if not response.lags:
             return measured
-        time, rate = response.lead(problem), measured.body_rate
-        if not problem.inertial:
-            intervals = [Interval(time, None, None)] if time > 0.0 else []
-            settled = self.advanced(measured, intervals)
-        else:
+        if problem.inertial:
+            rate = measured.body_rate
             applied = self.history.applied(measured.time)
             commanded = 0.0 if coming is None else coming.speed_fraction
             pushed = problem.forward * (measured.attitude @ exp(0.5 * time * rate))[:, 0]
