@@ -150,9 +150,7 @@ def step_margins(
     """
     found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        outward = problem.floor_normals
-        above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
-        found['floor'] = above - problem.floor.fraction
+        found['floor'] = problem.floor.margin(turned)
     if problem.max_rate:
         found['max_rate'] = turn_margin(problem, state, headings)
     if problem.max_acceleration:

@@ -105,7 +105,10 @@ def _bent(
     """
     (rows, missing, aside, least), n, count = asked, problem.dimension, len(arc.turns)
     widest = WITHIN * problem.widest_turn if problem.turns_are_angles else math.inf
-    angles, axes = _turned_about(n, arc.turns)
+    angles = np.linalg.norm(arc.turns, axis=1)
+    own = np.where((angles > 0.0)[:, None], arc.turns, [0.0, 0.0, 1.0])
+    own /= np.linalg.norm(own, axis=1)[:, None]
+    axes = np.array([own, np.cross([1.0, 0.0, 0.0], own)])[: n - 1]  # in space also across
     units = frames[:, :, 0]
     about = np.einsum('kcd,akd->akc', frames, axes)[:, :, None]  # in the world
     pushed = np.eye(count)[:, :, None] * units
@@ -126,17 +129,6 @@ def _bent(
     sizes = np.linalg.norm(turns, axis=1)
     turns *= np.minimum(1.0, widest / np.maximum(sizes, HEADING_UNDEFINED))[:, None]
     return arc._replace(speeds=arc.speeds + change[:count], turns=turns)
-
-
-def _turned_about(n: int, turns: Array) -> tuple[Array, Array]:
-    """Return angles of turns, shape (N,) [rad], and axes, (n - 1, N, 3): their own, and across."""
-    own = np.tile([0.0, 0.0, 1.0], (len(turns), 1))
-    if n == 2:
-        return turns[:, 2], own[None]
-    angles = np.linalg.norm(turns, axis=1)
-    own = np.where((angles > 0.0)[:, None], turns, own)
-    own /= np.linalg.norm(own, axis=1)[:, None]
-    return angles, np.array([own, np.cross([1.0, 0.0, 0.0], own)])
 
 
 def _least_change(matrix: Array, missing: Array, limits: tuple[Array, Array]) -> Array:
