@@ -429,7 +429,7 @@ def test_arcs_that_arrive_keep_floor_and_turn_rate_and_most_of_them_do(dimension
         for arc in turning(problem, state, goals):
             if arc is not None:
                 arrived += 1
-                plan = assembled(problem, state, goals, coordinates(arc))
+                plan = assembled(problem, state, goals, arc)
                 assert not violations(problem, state, goals, plan)
     assert arrived >= share * tried
 

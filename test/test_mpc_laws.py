@@ -179,13 +179,13 @@ def test_a_search_that_finds_nothing_leaves_a_plan_all_the_same(index):
 
 @needs_machine_code
 def test_the_general_search_of_a_round_floor_in_space_keeps_the_deadline():
-    weights = Weights(position=0.0, input=0.0, terminal=0.0)  # so that no bound is above the cost
+    weights = Weights(position=0.0, input=0.0, length=1.0, terminal=1.0)
     problem = Problem(dimension=3, horizon=4, weights=weights, floor=Floor('circle'))
     state, goals, nodes = State.at(np.zeros(3), np.eye(3)), np.zeros((4, 3)), []
     for limit in (20, 2000):
         plan = Solver(problem, patient=True).solve(state, goals, None, polled(limit))
         nodes.append(plan.proof.nodes)
-    assert nodes[0] < 20 < nodes[1]
+    assert nodes[0] < 10 < nodes[1]
 
 
 # --- certificates

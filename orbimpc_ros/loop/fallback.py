@@ -119,8 +119,7 @@ def _suffices(problem: Problem, room: float) -> bool:
 
 def _ways(task: Task, proof: Proof) -> Iterator[Plan]:
     """Yield plans found without search, given a proof of their bound; turns first, which evade."""
-    for rotations in in_time(chain(turning(*task.known), straight(*task.known)), task.late):
-        x = coordinates(rotations)
+    for x in in_time(chain(turning(*task.known), straight(*task.known)), task.late):
         yield assemble(*task.known, x, projection=task.projection, proof=proof)
 
 

@@ -146,8 +146,7 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     traffic, nothing = traffic_of(problem, state), ACTIVE * problem.maps.unit
     names = [f'obstacle {i}' for i in range(len(problem.boxes))]
     names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
-    headings, stiff = plan.headings[1:], np.full((problem.horizon, problem.horizon), np.inf)
-    regions = Regions(problem, stiff)
+    headings, regions = plan.headings[1:], Regions(problem)
     regions.bind(Request(state, goals))
     near = regions.beside(headings, nothing)
     controls, count = problem.translation.degree + 1, problem.horizon

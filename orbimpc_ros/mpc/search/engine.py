@@ -45,8 +45,6 @@ class TreeSearch:
         search: begins or continues a search, as :func:`~orbimpc_ros.mpc.search.tree.search` does.
     """
 
-    trusts_guess = False  # any starting point will do
-
     def __init__(self, problem: Problem, tolerance: float, search: Callable) -> None:
         self._problem, self._tolerance, self._search = problem, tolerance, search
         self._condensed = Condensed(problem)
@@ -164,7 +162,7 @@ class PlanarSearch(TreeSearch):
         thread, steps = get_ident(), self._problem.horizon
         tree, room = tree_for(thread, ROOM // steps, steps, 2, 0), room_for(thread, steps)
         # Copied, since for a read-only or strided array other code would be compiled in a tick.
-        guess = NONE if request.guess is None else np.array(request.guess.x, order='C')
+        guess = NONE if request.guess is None else np.array(request.guess, order='C')
         return self._run(request, posed, tree, ring, guess, room)
 
     def _ring(self, state: State) -> Ring:

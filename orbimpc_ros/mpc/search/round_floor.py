@@ -66,7 +66,7 @@ from orbimpc_ros.mpc.search.shor import (
     set_spread,
 )
 from orbimpc_ros.mpc.search.tree import KEY, MOST_ARCS, branch, plant, take_better, tree_for
-from orbimpc_ros.mpc.solve.request import Found, Guess, Method, Request, general
+from orbimpc_ros.mpc.solve.request import Found, Method, Request, general
 
 # In Tree.counts: descents begun; node to start beside; its next side, and the end; next start.
 STARTS, FROM, SIDE, SIDES, BEGIN = range(3, 8)
@@ -267,7 +267,7 @@ class RoundFloor(TreeSearch):
         nodes = min(MOST, ROOM // steps) if n == 2 else 1
         tree = tree_for(get_ident(), nodes + MOST_ARCS, steps, n, KINDS)
         descent = Descent(np.zeros((steps, n)), np.zeros(n), np.zeros(6))
-        known = [] if guess is None else [guess.x[:, :n]]
+        known = [] if guess is None else [guess[:, :n]]
         starts = np.array([*known, -(self._inverse @ posed.q)])
         found = self._run(request, posed, tree, descent, starts)
         if found.x is not None and n == 3:
@@ -290,11 +290,10 @@ class RoundFloor(TreeSearch):
 
     def _by_branches(self, request: Request, found: Found) -> Found:
         """Return the better of a result and that of the general search, with the higher bound."""
-        guess = None if found.x is None else Guess(found.x, found.cost)
         asked = iter(range(BRANCHES))
         other = self._general.solve(
             request._replace(
-                guess=guess, out_of_time=lambda: request.late or next(asked, None) is None
+                guess=found.x, out_of_time=lambda: request.late or next(asked, None) is None
             )
         )
         best = other if other.cost < found.cost else found

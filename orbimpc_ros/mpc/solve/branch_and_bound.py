@@ -17,6 +17,7 @@ import heapq
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 
@@ -27,15 +28,16 @@ from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
-from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
+from orbimpc_ros.mpc.proof.tree import CUT, NOWHERE, ProofTree
 from orbimpc_ros.mpc.solve.dives import Dives, is_accurate
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
-from orbimpc_ros.mpc.solve.regions import Held, Regions
+from orbimpc_ros.mpc.solve.regions import Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
+from orbimpc_ros.mpc.solve.stand_ins import sound
 from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
@@ -45,6 +47,7 @@ FRUITLESS = 20  # relaxations without a trajectory, after which one is found wit
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 WORST_CONDITION = 1e12
+UNDIVIDED = Region(np.zeros(0, np.int64), NOWHERE, {})  # of a problem without choices
 HALFWAY = 50.0  # factor on the tolerance where nodes cost alike: half of a plan's gap tolerance
 
 
@@ -57,8 +60,6 @@ class BranchAndBound:
         coasting: whether states come with a ``coasted`` rotation.
         among: whether states come with hazards.
     """
-
-    trusts_guess = True
 
     def __init__(
         self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
@@ -79,7 +80,7 @@ class BranchAndBound:
         self._in_plane = self._plane is not None and problem.dimension == 3 and not spread
         self._beside = among or bool(problem.obstacles)
         if not self._in_plane:  # there, with a deadline no program is solved
-            self.program = _program(problem, coasting, beside=self._beside)
+            _ = self.program
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -102,14 +103,21 @@ class BranchAndBound:
 
     @cached_property
     def program(self) -> Relaxed:
-        """Return the relaxation of the problem, whose machine code takes a while to load."""
-        return _program(self.problem, self._coasting, beside=self._beside)
+        """Return the fastest relaxation of the problem; its machine code takes a while to load."""
+        problem, coasting, beside = self.problem, self._coasting, self._beside
+        if SO3Multipliers.solves(problem, beside=beside):
+            return SO3Multipliers(problem, coasting=coasting, beside=beside)
+        if PlaceProgram.solves(problem):
+            return PlaceProgram(problem)
+        from orbimpc_ros.mpc.solve.program import Program  # imports Clarabel, which is slow
+
+        return Program(problem, coasting=coasting)
 
     def _better(self, request: Request, x: Array) -> Found:
         """Return a path in a plane or the guess: without a search in space, neither has a bound."""
         cost = trajectory_of(self.problem, request.state, request.goals, x).objective
-        if request.guess is not None and request.guess.cost <= cost:
-            x, cost = request.guess.x, request.guess.cost
+        known = *sound(self.problem, request, [request.guess]), (cost, x)
+        cost, x = min(known, key=itemgetter(0))
         return Found(x, cost, -np.inf, 1, ALONE)
 
     def exceeding(self, request: Request, cost: float) -> ProofTree | None:
@@ -150,26 +158,15 @@ class BranchAndBound:
     def _root(self, request: Request, relaxed: Relaxation) -> ProofTree | None:
         """Return the proof of a problem without disjunctions: a tree of one leaf."""
         leaves = ProofWriter(self.problem, self._condensed, self._inverse, request)
-        root = Node(0, -np.inf, None, None)
+        root = Node(0, -np.inf, UNDIVIDED)
         root.leaf = leaves.solved(relaxed, (), 0)
         return leaves.tree([root])
 
 
-def _program(problem: Problem, coasting: bool, *, beside: bool) -> Relaxed:
-    """Return the fastest convex program for a problem; ``beside``: with rows on control points."""
-    if SO3Multipliers.solves(problem, beside=beside):
-        return SO3Multipliers(problem, coasting=coasting, beside=beside)
-    if PlaceProgram.solves(problem):
-        return PlaceProgram(problem)
-    from orbimpc_ros.mpc.solve.program import Program  # imports Clarabel, which is slow
-
-    return Program(problem, coasting=coasting)
-
-
-def _inverse(hessian: Array) -> Array:
-    """Return H^-1, shape (N, N); infinite where H is singular."""
+def _inverse(hessian: Array) -> Array | None:
+    """Return H^-1, shape (N, N); None where H is singular."""
     if not np.linalg.cond(hessian) <= WORST_CONDITION:  # the condition of a zero matrix is NaN
-        return np.full(hessian.shape, np.inf)
+        return None
     return np.asarray(np.linalg.inv(hessian))
 
 
@@ -194,9 +191,9 @@ class _Run:
     ) -> None:
         self._request, self._regions, self._dives = request, regions, dives
         self._leaves, self._tolerance = leaves, tolerance
-        self._root = -np.inf  # bound of the root
+        self._root = -np.inf  # bound of the root; infinite if it is empty
         self._closed = np.inf
-        self._nodes = [Node(0, -np.inf, None, regions.root())]
+        self._nodes = [Node(0, -np.inf, regions.root())]
         self._open = [self._nodes[0]]
 
     def run(self, known: Sequence[Array] = (), *, among: bool = False) -> Found:
@@ -225,7 +222,7 @@ class _Run:
                     best.dive(regions.headings(x), self._rows(root))
                 among = False
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
-        if lower == np.inf:
+        if max(lower, self._root) == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
         return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
 
@@ -251,26 +248,41 @@ class _Run:
         No trajectory is looked for. A node with a lower bound is split where its solution violates
         a choice, or else at the widest sector, which ends turns that are too wide.
         """
-        regions = self._regions
         if self._nodes[0].known is None:
             return None
         while self._open and self._open[0].bound <= cost:
             if self._dives.solved == MAX_REFUTED or self._request.late:
                 return None
-            node = heapq.heappop(self._open)
-            relaxed = self._bounded(node)
-            if relaxed.empty or node.bound > cost:
-                continue
-            if relaxed.x is None:
+            self._expand(heapq.heappop(self._open), cost)
+            if self._closed < np.inf:  # below the cost
                 return None
-            headings, known = regions.headings(relaxed.x), self._known(node)
-            cut = self._cut(known, regions.missed(headings))
-            if cut is None and not regions.turns_in_time(headings):
-                cut = regions.widest(known)
-            if cut is None:
-                return None
-            self._part(node, cut, relaxed.bound, headings[1:])
         return self._leaves.tree(self._nodes)
+
+    def _expand(self, node: Node, cost: float | None = None) -> None:
+        """Solve a node; branch on it, or offer its solution as the incumbent.
+
+        Given a ``cost`` that bounds have to exceed, no incumbent is looked for.
+        """
+        regions, relaxed = self._regions, self._bounded(node)
+        if relaxed.empty or (cost is not None and node.bound > cost):
+            return
+        if relaxed.x is None:  # neither solved nor proved infeasible
+            self._close(node.bound)
+            return
+        headings = regions.headings(relaxed.x)
+        missed, cut = regions.missed(headings), None
+        if cost is None:
+            self._seek(node, relaxed, headings, missed)
+        # Branching may take as long as a solve. Without a cut, an imposed face is violated: the
+        # solve was not accurate enough.
+        if not self._request.late:
+            cut = self._cut(node, missed)
+        if cut is None and cost is not None and not regions.turns_in_time(headings):
+            cut = regions.widest(self._known(node))
+        if cut is None:
+            self._close(node.bound)
+        else:
+            self._part(node, cut, relaxed.bound, headings[1:])
 
     def _bounded(self, node: Node) -> Relaxation:
         """Solve a node; keep its bound and its proof."""
@@ -279,74 +291,50 @@ class _Run:
         node.better = relaxed.empty or relaxed.bound >= node.bound
         if not relaxed.empty:
             node.bound = max(node.bound, relaxed.bound)
+        if node.above is None:
+            self._root = np.inf if relaxed.empty else relaxed.bound
         held = tuple(each for held in rows.values() for each in held)
         node.leaf = self._leaves.solved(relaxed, held, node.depth)
         return relaxed
 
-    def _expand(self, node: Node) -> None:
-        """Solve a node; branch on it, or offer its solution as the incumbent."""
-        regions, relaxed = self._regions, self._bounded(node)
-        if relaxed.empty:
-            if node.above is None:
-                raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
-            return
-        if node.above is None:
-            self._root = relaxed.bound
-        if relaxed.x is None:  # neither solved nor proved infeasible
-            self._close(node.bound)
-            return
-        headings = regions.headings(relaxed.x)
-        missed = regions.missed(headings)
-        if not missed:
-            self._settle(node, relaxed, headings)
-            return
-        if self._dives.x is None or self._is_nearly_round(missed):
-            self._dives.dive(headings, self._rows(node))
-        # Branching may take as long as a solve. Without a cut, an imposed face is violated: the
-        # solve was not accurate enough.
-        cut = None if self._request.late else self._cut(self._known(node), missed)
-        if cut is None:
-            self._close(node.bound)
+    def _seek(
+        self, node: Node, relaxed: Relaxation, headings: Array, missed: dict[int, float]
+    ) -> None:
+        """Offer a solution that meets all choices as the incumbent; dive from another one."""
+        dives, regions = self._dives, self._regions
+        if missed:
+            # Only round floors and balls are violated, and by little.
+            nearly = all(regions.is_round(c) and by < NEAR for c, by in missed.items())
+            dived = dives.x is None or nearly
         else:
-            self._part(node, cut, relaxed.bound, headings[1:])
+            assert relaxed.x is not None
+            dives.offer(relaxed.x)
+            dived = not (relaxed.is_accurate and regions.turns_in_time(headings))
+        if dived:
+            dives.dive(headings, self._rows(node))
 
-    def _settle(self, node: Node, relaxed: Relaxation, headings: Array) -> None:
-        """Close a node whose solution meets all choices, and offer it as the incumbent."""
-        self._close(node.bound)
-        assert relaxed.x is not None
-        self._dives.offer(relaxed.x)
-        if not (relaxed.is_accurate and self._regions.turns_in_time(headings)):
-            self._dives.dive(headings, self._rows(node))
-
-    def _rows(self, node: Node) -> dict[int, Held]:
+    def _rows(self, node: Node) -> Rows:
         """Return the half-spaces of a node, by choice."""
         if node.rows is None:
-            regions, above = self._regions, node.above
+            regions, above, known = self._regions, node.above, self._known(node)
             if above is None or above.cut is None:
-                node.rows = regions.every(self._known(node))
+                node.rows = regions.every(known)
             elif above.cut.kind == CUT:  # turns may carry it to other headings
-                changed = regions.changed(self._known(above), self._known(node))
-                node.rows = self._rows(above) | changed
+                node.rows = self._rows(above) | regions.changed(self._known(above), known)
             else:
                 node.rows = self._rows(above) | {above.cut.choice: node.own}
         return node.rows
 
     def _known(self, node: Node) -> Region:
         """Return the region of a node that is not empty."""
-        if node.known is None:
-            above = node.above
-            assert above is not None
-            assert above.cut is not None
-            at = node.number - above.first
-            node.known = self._regions.part(self._known(above), above.cut, at)
         assert node.known is not None
         return node.known
 
     # --- branching
 
-    def _cut(self, known: Region, missed: dict[int, float]) -> Cut | None:
+    def _cut(self, node: Node, missed: dict[int, float]) -> Cut | None:
         """Return the split of the choice that promises the greatest bound; None without one."""
-        regions = self._regions
+        regions, known = self._regions, self._known(node)
         promises = {c: (regions.promise(c, by), by) for c, by in missed.items()}
         ranked = sorted(missed, key=promises.__getitem__, reverse=True)
         cuts = (regions.cut(choice, known) for choice in ranked)
@@ -361,29 +349,24 @@ class _Run:
             dual_value: of its solution, from which the gains of the children are counted.
             headings: of the solution, shape (N, n).
         """
-        regions, sides = self._regions, self._regions.sides(self._known(node), cut)
-        gains, refuted = regions.gains(cut.choice, sides, headings)
+        regions, choice = self._regions, cut.choice
         node.cut, node.first = cut, len(self._nodes)
-        for i, row in enumerate(refuted.tolist()):
-            bound = max(node.bound, dual_value + float(gains[i]))
-            part = Node(len(self._nodes), bound, node, None)
+        for i in range(cut.parts):
+            known = regions.part(self._known(node), cut, i)
+            part = Node(node.first + i, node.bound, known, node)
             self._nodes.append(part)
-            if cut.kind == CUT:
-                part.known = regions.part(self._known(node), cut, i)
-                part.gone = part.known is None
-            if part.gone:
+            if known is None:
                 continue
-            part.own = regions.held(cut.choice, sides[0][i], sides[1][i])
-            if row >= 0:
-                part.refuted = regions.beyond(cut.choice, sides[0][i], sides[1][i], row)
-            elif bound >= self._dives.cutoff:
-                self._close(bound)
+            side = regions.side(choice, known)
+            part.own = regions.held(choice, side)
+            gain, part.refuted = regions.gain(choice, side, headings)
+            part.bound = max(node.bound, dual_value + gain)
+            if part.refuted >= 0:
+                continue
+            if part.bound >= self._dives.cutoff:
+                self._close(part.bound)
             else:
                 heapq.heappush(self._open, part)
-
-    def _is_nearly_round(self, missed: dict[int, float]) -> bool:
-        """Return True if only round floors and balls are violated, and by little."""
-        return all(self._regions.is_round(c) and by < NEAR for c, by in missed.items())
 
     def _close(self, bound: float) -> None:
         """Record the bound of a node that is not searched any further."""

@@ -11,26 +11,25 @@ Mathematics: docs/mathematics.md, 4.9 and 4.11.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import holds, terminal_violations
-from orbimpc_ros.mpc.geometry.rotations import coordinates, margin
+from orbimpc_ros.mpc.check import terminal_violations
+from orbimpc_ros.mpc.geometry.rotations import margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
-from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions
+from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Request
-from orbimpc_ros.mpc.solve.stand_ins import in_time, turning
+from orbimpc_ros.mpc.solve.stand_ins import in_time, sound, turning
 
 BESIDE = 2.0  # in units of a step's length: bodies farther from a path are not constrained by it
 FOLLOWED = 10  # solves beside a path, each with the solution before as its path
 WORTH = 1e-3  # relative reduction of the cost that is worth another solve
 ACCURATE = 1e-6  # the check's tolerance of orbitopes
 LEAST = 1e-9  # smallest denominator of a relative gap
-
-Rows = dict[int, Held]  # half-spaces by choice
 
 
 def is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
@@ -62,9 +61,16 @@ class Dives:
     ) -> None:
         self._program, self._regions, self._request = program, regions, request
         self._problem, self._turns = regions.problem, regions.turns
-        self._tolerance, self.solved, guess = tolerance, 0, request.guess
-        self.x = None if guess is None else guess.x
-        self.cost = np.inf if guess is None else guess.cost
+        self._tolerance, self.solved = tolerance, 0
+        self.x: Array | None = None
+        self.cost = np.inf
+        self._take([request.guess])
+
+    def _take(self, ways: Iterable[Array | None]) -> None:
+        """Accept the first of several trajectories that passes the check of plans."""
+        best = next(sound(self._problem, self._request, ways), None)
+        if best is not None:
+            self.cost, self.x = best
 
     @property
     def cutoff(self) -> float:
@@ -99,13 +105,8 @@ class Dives:
     def stand_in(self) -> None:
         """Accept the first trajectory found without a search that passes the check of plans."""
         request = self._request
-        known = self._problem, request.state, request.goals
-        for rotations in in_time(turning(*known), request.out_of_time):
-            x = coordinates(rotations)
-            plan = assemble(*known, x, projection='nearest', proof=UNPROVED)
-            if holds(*known, plan):
-                self.x, self.cost = x, plan.objective
-                return
+        every = turning(self._problem, request.state, request.goals)
+        self._take(in_time(every, request.out_of_time))
 
     def dive(self, headings: Array, rows: Rows) -> None:
         """Follow the solution of a node, as far as turns allow; see :meth:`follow`."""

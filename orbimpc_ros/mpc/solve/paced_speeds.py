@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.solve.program import Program
 from orbimpc_ros.mpc.solve.regions import Regions
 from orbimpc_ros.mpc.solve.relaxation import Row
 from orbimpc_ros.mpc.solve.request import Found, Request, method_for
-from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
+from orbimpc_ros.mpc.solve.stand_ins import in_time, sound, straight, turning
 from orbimpc_ros.mpc.solve.turns import cone, spared
 
 NARROW = 1e-4  # [rad] thinner cones are replaced by their axes, for Clarabel's accuracy
@@ -46,7 +46,7 @@ class PacedSpeeds:
         among: whether states come with hazards.
     """
 
-    takes_guess = trusts_guess = True
+    takes_guess = True
 
     def __init__(
         self, problem: Problem, tolerance: float, *, coasting: bool = False, among: bool = False
@@ -55,7 +55,7 @@ class PacedSpeeds:
         self._method = method_for(freed, tolerance, coasting=coasting, among=among)
         stated = replace(problem, max_rate=0.0) if problem.turns_are_angles else problem
         self._program = Program(stated, coasting=coasting)
-        self._regions = Regions(problem, np.full((problem.horizon,) * 2, np.inf))
+        self._regions = Regions(problem)
 
     @staticmethod
     def solves(problem: Problem) -> bool:
@@ -68,13 +68,15 @@ class PacedSpeeds:
         Raises:
             Infeasible: even without the limit no trajectory satisfies the constraints.
         """
+        known = [x for _, x in sound(self._problem, request, [request.guess])]
+        request = request._replace(guess=known[0] if known else None)
         found = self._method.solve(request)
-        known = [] if request.guess is None else [request.guess.x]
         if found.x is not None and self._holds(request, found.x):
             known.append(found.x)
         else:
             self._regions.bind(request)
-            for way in self._ways(request, found):
+            for x in self._ways(request, found):
+                way = self._flown(request, x).rotations[1:]
                 near = self._followed(request, way, waits=not known)
                 known += near
                 if near or request.late:
@@ -92,15 +94,15 @@ class PacedSpeeds:
         return bool(speed_margin(self._problem, request.state, rotations[:, :, 0]).min() >= 0.0)
 
     def _ways(self, request: Request, found: Found) -> Iterator[Array]:
-        """Yield R_1..R_N, shape (N, n, n), of the result, and of the guess or of fallbacks."""
+        """Yield the coordinates, shape (N, d), of the result, and the guess or fallbacks."""
         if found.x is not None:
-            yield self._flown(request, found.x).rotations[1:]
+            yield found.x
         if request.guess is None:
             posed = self._problem, request.state, request.goals
             every = chain(reversed(list(straight(*posed))), turning(*posed))
             yield from in_time(every, request.out_of_time)
         elif not request.late:
-            yield self._flown(request, request.guess.x).rotations[1:]
+            yield request.guess
 
     def _followed(self, request: Request, way: Array, *, waits: bool) -> list[Array]:
         """Return coordinates, shape (N, d), of solutions, each near the one before, or ``way``.

@@ -22,7 +22,7 @@ from orbimpc_ros.mpc.model.dynamics import position_weights
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.search.engine import PlanarSearch
-from orbimpc_ros.mpc.solve.request import Guess, Request
+from orbimpc_ros.mpc.solve.request import Request
 
 
 class PlanarWay:
@@ -60,7 +60,7 @@ class PlanarWay:
             attitude=np.eye(2),
             disturbance=plane.T @ state.disturbance,
         )
-        guess = request.guess and Guess(request.guess.x[:, :3] @ plane, np.inf)
+        guess = None if request.guess is None else request.guess[:, :3] @ plane
         goals = (request.goals - state.position) @ plane
         found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
         return [] if found.x is None else [coordinates(carried(attitude, found.x @ plane.T))]

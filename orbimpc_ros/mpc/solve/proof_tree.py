@@ -18,51 +18,36 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.model.dynamics import Condensed
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.splits import Cut, Region
-from orbimpc_ros.mpc.proof.stated import width_of
 from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, NOTHING, NOWHERE, POINTS, ProofTree
-from orbimpc_ros.mpc.solve.regions import CONE, Held
-from orbimpc_ros.mpc.solve.relaxation import Relaxation
+from orbimpc_ros.mpc.solve.regions import CONE, Held, Rows
+from orbimpc_ros.mpc.solve.relaxation import HEADING, Multipliers, Relaxation
 from orbimpc_ros.mpc.solve.request import Request
 
 LATE_NODES = 40  # limit for a proof written after the deadline: 2 or 3 ms
 
 
 class Leaf(NamedTuple):
-    """The proof of a single node: a tangent point and multipliers.
+    """The proof of a single node, as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
 
     Attributes:
         point: where the tangent touches, shape (N, d).
-        share: multipliers of constraints on each R_k e1 alone, shape (N, n).
+        pull: shape (m, n).
+        slide: shape (N, n).
+        tether: shape (N, n).
+        share: with d = 9 the multipliers of constraints on each R_k e1 alone, since orbitopes hold
+            the rest of the slope; otherwise the whole slope, or zero without any, shape (N, n).
         presses: multipliers of rows on the sides of bodies: depth of the node from which on the
             side is known, number of the row, and multiplier.
-        force: gradient of the terms of positions and turns, shape (N, n).
-        ends: pull, slide and tether of :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
         empty: whether the multipliers prove that the node is infeasible.
     """
 
     point: Array
+    pull: Array
+    slide: Array
+    tether: Array
     share: Array
-    presses: tuple[tuple[int, int, float], ...]
-    force: Array
-    ends: tuple[Array, Array, Array]
-    empty: bool
-
-    def pressed(self, held: Held, sizes: Sequence[float], depth: int) -> Leaf:
-        """Return the leaf with multipliers of half-spaces that are known from a depth on added.
-
-        Those on headings count only if d = 9: otherwise the stage sets contain the half-spaces.
-        """
-        share, force, presses = self.share, self.force, list(self.presses)
-        whole = self.point.shape[1] == 9
-        for row, size in zip(held, sizes, strict=True):
-            if not size:
-                continue
-            if row.number >= 0:
-                presses.append((depth, row.number, size))
-                force = force - size * np.outer(row.shares, row.normal)
-            elif whole or row.number == CONE:
-                share = share + size * np.outer(row.shares, row.normal)
-        return self._replace(share=share, force=force, presses=tuple(presses))
+    presses: tuple[tuple[int, int, float], ...] = ()
+    empty: bool = False
 
     def raised(self, held: Held, inverse: Array, depth: int) -> Leaf:
         """Return the leaf after the dual step along the row of a side that gains most.
@@ -78,8 +63,18 @@ class Leaf(NamedTuple):
         short = [row.offset - row.shares @ point[:, :n] @ row.normal for row in held]
         steps = np.maximum(short, 0.0) / steep
         best = int(np.argmax(steps * steps * steep))
-        point[:, :n] += steps[best] * np.outer(moved[best], held[best].normal)
-        return self._replace(point=point).pressed(held[best : best + 1], [steps[best]], depth)
+        row, step = held[best], float(steps[best])
+        point[:, :n] += step * np.outer(moved[best], row.normal)
+        if row.number >= 0:  # its force cancels the change of the slope
+            return self._replace(point=point, presses=(*self.presses, (depth, row.number, step)))
+        share = self.share
+        if point.shape[1] == 9 or share.any():
+            share = share + step * np.outer(row.shares, row.normal)
+        return self._replace(point=point, share=share)
+
+    def refuting(self, row: int, depth: int) -> Leaf:
+        """Return the leaf of a node that is empty since a row next to a body is out of reach."""
+        return Leaf._make([*map(np.zeros_like, self[:5]), ((depth, row, 1.0),), True])
 
 
 class Node:
@@ -88,12 +83,11 @@ class Node:
     Attributes:
         number: of the node.
         bound: lower bound of the search on the cost of its trajectories.
+        known: its region; None if that is empty.
         above: its parent; None for the root.
-        known: its region, computed when needed.
-        gone: whether its region is empty.
         depth: 0 for the root.
         own: half-spaces of the split that created it.
-        refuted: one of these that cannot be satisfied.
+        refuted: number of a row, among presses, that cannot be satisfied; negative without one.
         rows: half-spaces by choice, computed when needed.
         cut: how it is split; None for a leaf.
         first: number of its first child.
@@ -101,13 +95,14 @@ class Node:
         better: whether its own proof is at least as good as that of its parent.
     """
 
-    def __init__(self, number: int, bound: float, above: Node | None, known: Region | None) -> None:
-        self.number, self.bound, self.above, self.known = number, bound, above, known
+    def __init__(
+        self, number: int, bound: float, known: Region | None, above: Node | None = None
+    ) -> None:
+        self.number, self.bound, self.known, self.above = number, bound, known, above
         self.depth: int = 0 if above is None else above.depth + 1
-        self.gone = False
         self.own: Held = ()
-        self.refuted: Held = ()
-        self.rows: dict[int, Held] | None = None
+        self.refuted = HEADING
+        self.rows: Rows | None = None
         self.cut: Cut | None = None
         self.first = 0
         self.leaf: Leaf | None = None
@@ -124,7 +119,7 @@ class ProofWriter:
     Args:
         problem: what is solved.
         condensed: its quadratic.
-        inverse: H^-1, shape (N, N); infinite if H is singular.
+        inverse: H^-1, shape (N, N); None if H is singular.
         request: state and goals.
         bodies: number of bodies.
         origins: as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
@@ -134,15 +129,14 @@ class ProofWriter:
         self,
         problem: Problem,
         condensed: Condensed,
-        inverse: Array,
+        inverse: Array | None,
         request: Request,
         bodies: int = 0,
         origins: Array = NOWHERE,
     ) -> None:
-        self._problem, self._condensed, self._inverse = problem, condensed, inverse
-        self._request, self._origins = request, origins
+        self._maps, self._condensed, self._inverse = problem.maps, condensed, inverse
+        self._request, self._origins, self._horizon = request, origins, problem.horizon
         self._rows = POINTS * problem.horizon * bodies  # on sides, per level of the tree
-        self._stiff = bool(np.isfinite(inverse).all())
 
     def solved(self, relaxed: Relaxation, held: Held, depth: int) -> Leaf | None:
         """Return the proof of a node from its relaxation; None without multipliers.
@@ -155,36 +149,42 @@ class ProofWriter:
         found = relaxed.multipliers
         if found is None:
             return None
-        maps, tether = self._problem.maps, found.tether
-        slide = found.slide if found.slide.size else np.zeros(tether.shape)
-        force = tether.copy()
-        force[:-1] -= tether[1:]
-        if found.slide.size:
-            force += maps.reach[:, 1:].T @ slide
-        if len(found.pull):
-            force += maps.arrival[: len(found.pull), 1:].T @ found.pull
         # The proof of an infeasible node does not involve the cost, so any point will do.
-        point = self._blank().point if relaxed.empty else found.point
-        leaf = Leaf(point, found.share, (), force, (found.pull, slide, tether), relaxed.empty)
-        return leaf.pressed(held, found.sizes.tolist(), depth)
+        point = np.zeros_like(found.point) if relaxed.empty else found.point
+        whole, share, force = point.shape[1] == 9, found.share, self._force(found)
+        presses = list[tuple[int, int, float]]()
+        for row, size in zip(held, found.sizes.tolist(), strict=True):
+            if not size:
+                continue
+            pressed = size * np.outer(row.shares, row.normal)
+            if row.number >= 0:
+                presses.append((depth, row.number, size))
+                force -= pressed
+            elif whole or row.number == CONE:  # stage sets contain other half-spaces on headings
+                share = share + pressed
+        if not whole and share.any():
+            share = force - share
+            if not relaxed.empty:
+                share += self._condensed.affine(self._request.state, self._request.goals)[0]
+                share += self._condensed.hessian @ point
+        slide = found.slide if found.slide.size else np.zeros(force.shape)
+        return Leaf(point, found.pull, slide, found.tether, share, tuple(presses), relaxed.empty)
 
-    def _blank(self) -> Leaf:
-        """Return a leaf without multipliers."""
-        problem = self._problem
-        shape = problem.horizon, problem.dimension
-        arrives = (1 + problem.inertial) * (problem.terminal == 'constraint')
-        none: Array = np.zeros(shape)
-        ends = np.zeros((arrives, problem.dimension)), none, none
-        return Leaf(np.zeros((problem.horizon, width_of(problem))), none, (), none, ends, True)
+    def _force(self, found: Multipliers) -> Array:
+        """Return the slopes of turns, a glide slope and an arrival, shape (N, n)."""
+        force = found.tether.copy()
+        force[:-1] -= found.tether[1:]
+        force += self._maps.arrival[: len(found.pull), 1:].T @ found.pull
+        return force + self._maps.reach[:, 1:].T @ found.slide if found.slide.size else force
 
     def best(self, node: Node) -> Leaf | None:
         """Return the best proof of a node; None without multipliers."""
-        if node.refuted:
-            return self._blank().pressed(node.refuted, [1.0], node.depth)
         if (node.leaf is not None and node.better) or node.above is None:
             return node.leaf
         above = self.best(node.above)
-        if above is None or not node.own or not self._stiff:
+        if above is not None and node.refuted >= 0:
+            return above.refuting(node.refuted, node.depth)
+        if above is None or not node.own or self._inverse is None:
             return above
         return above.raised(node.own, self._inverse, node.depth)
 
@@ -204,26 +204,13 @@ class ProofWriter:
             if most is None and self._request.late and count > LATE_NODES:
                 return self.tree(nodes, LATE_NODES)
             whole = node.cut is not None and node.first + node.cut.parts <= count
-            if whole or node.gone:
+            if whole or node.known is None:
                 continue
             leaf = self.best(node)
             if leaf is None:
                 return None
-            leaves[node.number] = leaf._replace(share=self._share(leaf))
+            leaves[node.number] = leaf
         return self._stacked(nodes[:count], leaves)
-
-    def _share(self, leaf: Leaf) -> Array:
-        """Return the part of each slope that is minimised over the set of R_k e1 separately.
-
-        With d = 9 orbitopes hold the rest, otherwise cones and lengths; zero without any.
-        """
-        if leaf.point.shape[1] == 9 or not leaf.share.any():
-            return leaf.share
-        slopes = leaf.force - leaf.share
-        if not leaf.empty:
-            slopes += self._condensed.affine(self._request.state, self._request.goals)[0]
-            slopes += self._condensed.hessian @ leaf.point[:, : self._problem.dimension]
-        return slopes
 
     def _stacked(self, nodes: Sequence[Node], leaves: dict[int, Leaf]) -> ProofTree:
         numbers, at = _numbered(nodes, leaves)
@@ -233,18 +220,17 @@ class ProofWriter:
             for number, leaf in leaves.items()
             for depth, row, size in leaf.presses
         ]
-        pull, slide, tether = zip(*(leaf.ends for leaf in every), strict=True)
         return ProofTree(
             nodes=numbers,
             at=at,
             point=np.array([leaf.point for leaf in every]),
-            shor=np.zeros((len(every), self._problem.horizon)),
+            shor=np.zeros((len(every), self._horizon)),
             press_end=np.cumsum([len(leaf.presses) for leaf in every]),
             press_row=np.array([row for row, _ in found], np.int64),
             press=np.array([size for _, size in found], float),
-            pull=_used(pull),
-            slide=_used(slide),
-            tether=_used(tether),
+            pull=_used([leaf.pull for leaf in every]),
+            slide=_used([leaf.slide for leaf in every]),
+            tether=_used([leaf.tether for leaf in every]),
             share=_used([leaf.share for leaf in every]),
             origins=self._origins,
         )

@@ -26,19 +26,6 @@ METHODS = [
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # imports Clarabel, hence only with max_acceleration
 
 
-@dataclass(frozen=True)
-class Guess:
-    """A warm start from the present state; feasible if it is for a method with ``trusts_guess``.
-
-    Attributes:
-        x: rotation coordinates of R_1..R_N, shape (N, d).
-        cost: its objective for a method with ``trusts_guess``, else infinite.
-    """
-
-    x: Array
-    cost: float
-
-
 class Enough(NamedTuple):
     """Early stopping criteria of a search.
 
@@ -64,7 +51,8 @@ class Request(NamedTuple):
     Attributes:
         state: initial state of the plan.
         goals: g_1..g_N, shape (N, n) [m].
-        guess: warm start.
+        guess: warm start from this state: rotation coordinates of R_1..R_N, shape (N, d), which
+            may violate constraints.
         out_of_time: polled between iterations; once it returns True, the method returns its best
             result so far. None: no deadline.
         patient: whether the deadline leaves time to set up slower methods.
@@ -73,7 +61,7 @@ class Request(NamedTuple):
 
     state: State
     goals: Array
-    guess: Guess | None = None
+    guess: Array | None = None
     out_of_time: Callable[[], bool] | None = None
     patient: bool = False
     enough: Enough = NEVER_ENOUGH
@@ -122,11 +110,9 @@ class Method(Protocol):
 
     Attributes:
         takes_guess: whether the method benefits from a warm start.
-        trusts_guess: whether it assumes that the warm start satisfies all constraints.
     """
 
     takes_guess: bool
-    trusts_guess: bool
 
     @staticmethod
     def solves(problem: Problem) -> bool:

@@ -12,11 +12,9 @@ Mathematics: docs/mathematics.md, 1.4, 5.4 and 6.1.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
-from operator import attrgetter, itemgetter
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,7 +31,7 @@ from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of
 from orbimpc_ros.mpc.proof.stated import SPEEDS
 from orbimpc_ros.mpc.proof.tree import ProofTree
 from orbimpc_ros.mpc.proof.verify import Verifier
-from orbimpc_ros.mpc.solve.request import Enough, Found, Guess, Method, Request, method_for
+from orbimpc_ros.mpc.solve.request import Enough, Found, Method, Request, method_for
 from orbimpc_ros.mpc.solve.stand_ins import in_time, straight, turning
 
 SEARCH_SHARE = 0.01  # a search stops at this share of the gap tolerance
@@ -129,25 +127,6 @@ def _in_units(problem: Problem, length: float, time: float) -> Problem:
     )
 
 
-class _Query(NamedTuple):
-    """The arguments of :meth:`Solver.solve`, in the units of the caller.
-
-    Attributes:
-        guess: rotation coordinates of R_1..R_N, shape (N, d).
-        searched: the state, without hazards if all are out of reach, so that faster methods apply.
-    """
-
-    state: State
-    goals: Array
-    guess: Array | None
-    out_of_time: Callable[[], bool] | None
-    searched: State
-
-    @property
-    def late(self) -> bool:
-        return self.out_of_time is not None and self.out_of_time()
-
-
 class Solver:
     """Solver of one problem for any state and goals; compiled at construction.
 
@@ -185,11 +164,9 @@ class Solver:
         self._units, self._patient = Units.of(problem), patient
         self._shape = problem.horizon, coordinate_count(problem.dimension)  # of guesses
         self._verifier = Verifier(problem) if problem.floor.shape in SPEEDS else None
-        self._wants_attitude = problem.wants_attitude
         self._coasting = coasting and problem.rotation_order == 2
         self._method = self._made(among=False)
         self.takes_guess = self._method.takes_guess
-        self._among: Method | None = None  # the method for states with hazards, built when needed
         self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
 
     def solve(
@@ -218,23 +195,23 @@ class Solver:
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
-        query = self._query(state, goals, guess, out_of_time)
+        asked = self._asked(state, goals, guess, out_of_time)
         try:
-            found = self._found(query)
+            found = self._found(asked)
         except Infeasible as error:
             found = replace(NOTHING, reason=f'a plan exists, though the search found: {error}')
-            return self._instead(query, found, error)
+            return self._instead(asked, found, error)
         if found.x is None:
-            return self._instead(query, found, SolverFailure(found.reason))
-        plan = self._assembled(query, found.x, self._proof(query, found))
-        flaws = violations(self.problem, state, query.goals, plan)
+            return self._instead(asked, found, SolverFailure(found.reason))
+        plan = self._assembled(asked, found.x, self._proof(asked, found))
+        flaws = violations(self.problem, state, asked.goals, plan)
         if flaws:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
-            return self._instead(query, found, SolverFailure(found.reason))
+            return self._instead(asked, found, SolverFailure(found.reason))
         if plan.objective - plan.lower_bound <= self._tolerance * plan.objective:
             return plan  # proved optimal relative to its own cost, however small that is
         instead = replace(plan.proof, reason=_joined(plan.proof.reason, STANDS_IN))
-        return self._cheapest(query, instead, plan.objective) or plan
+        return self._cheapest(asked, self._unsought(asked), instead, plan.objective) or plan
 
     def propose(
         self,
@@ -250,116 +227,93 @@ class Solver:
             Infeasible: the method proved that no trajectory satisfies the constraints.
             SolverFailure: the method found no trajectory.
         """
-        query = self._query(state, goals, guess, out_of_time)
-        found = self._found(query)
+        asked = self._asked(state, goals, guess, out_of_time)
+        found = self._found(asked)
         if found.x is None:
             raise SolverFailure(found.reason)
-        return self._assembled(query, found.x, self._proof(query, found))
+        return self._assembled(asked, found.x, self._proof(asked, found))
 
-    def _query(
-        self,
-        state: State,
-        goals: Array,
-        guess: Plan | Array | None,
-        out_of_time: Callable[[], bool] | None,
-    ) -> _Query:
-        self._require(state)
-        goals = _floats(goals, (self.problem.horizon, self.problem.dimension), 'goals')
-        searched = clear_of_hazards(self.problem, state) if state.hazards else state
-        if isinstance(guess, Plan):
-            x = coordinates(guess.rotations[1:])
-            guess = x if x.shape == self._shape else None
-        elif guess is not None:
-            guess = _floats(guess, self._shape, 'guess')
-        return _Query(state, goals, guess, out_of_time, searched)
-
-    def _found(self, query: _Query) -> Found:
-        """Return the result of the method, with a reason if it is not what was asked for.
-
-        Raises:
-            Infeasible: no trajectory satisfies the constraints.
-        """
-        state, goals = query.searched, query.goals
-        if self.problem.terminal == 'constraint' or self.problem.approach.exists:
-            beyond = beyond_reach(self.problem, state, goals) / self.problem.maps.unit
-            if max(beyond, beyond_turning(self.problem, state)) > SURELY:
-                raise Infeasible(reason(self.problem, state, goals))
-        method, units = self._method_for(state), self._units
-        usable = self._usable(query, method)
-        posed = units.state(state), units.lengths(goals), usable
-        try:
-            found = method.solve(Request(*posed, query.out_of_time, self._patient, self._enough))
-        except Infeasible as error:
-            if error.proof is not None and self._verified(query, error.proof)[0] < np.inf:
-                return replace(NOTHING, reason=DOUBTFUL)
-            raise Infeasible(reason(self.problem, state, goals)) from None
-        except (SolverFailure, ArithmeticError, np.linalg.LinAlgError) as error:  # or an overflow
-            return replace(NOTHING, reason=str(error))
-        return self._judged(found, usable)
-
-    def _require(self, state: State) -> None:
+    def _asked(
+        self, state: State, goals: Array, guess: Plan | Array | None, out_of_time: Late | None
+    ) -> Request:
+        """Return the request, in the units of the caller."""
         if len(state.position) != self.problem.dimension:
             allowed = f'{self.problem.dimension} numbers'
             raise BadInput('state.position', state.position.tolist(), allowed)
         if self._coasting and state.coasted is None:
             raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
-        if self._wants_attitude and state.wanted is None:
+        if self.problem.wants_attitude and state.wanted is None:
             raise BadInput('state.wanted', None, 'a rotation: the problem asks for one at its end')
+        goals = _floats(goals, (self.problem.horizon, self.problem.dimension), 'goals')
+        if isinstance(guess, Plan):
+            x = coordinates(guess.rotations[1:])
+            guess = x if x.shape == self._shape else None
+        elif guess is not None:
+            guess = _floats(guess, self._shape, 'guess')
+        return Request(state, goals, guess, out_of_time, self._patient, self._enough)
 
-    def _judged(self, found: Found, usable: Guess | None) -> Found:
-        """Return a result of the method, with a reason if its trajectory is missing or no news."""
+    def _searched(self, state: State) -> State:
+        """Return the state, without hazards if all are out of reach: faster methods then apply."""
+        return clear_of_hazards(self.problem, state) if state.hazards else state
+
+    def _found(self, asked: Request) -> Found:
+        """Return the result of the method, with a reason if it is not what was asked for.
+
+        Raises:
+            Infeasible: no trajectory satisfies the constraints.
+        """
+        state, goals, units = self._searched(asked.state), asked.goals, self._units
+        if self.problem.terminal == 'constraint' or self.problem.approach.exists:
+            beyond = beyond_reach(self.problem, state, goals) / self.problem.maps.unit
+            if max(beyond, beyond_turning(self.problem, state)) > SURELY:
+                raise Infeasible(reason(self.problem, state, goals))
+        method = self._among if state.hazards else self._method
+        guess = asked.guess if method.takes_guess else None
+        posed = asked._replace(state=units.state(state), goals=units.lengths(goals), guess=guess)
+        try:
+            found = method.solve(posed)
+        except Infeasible as error:
+            if error.proof is not None and self._verified(asked, error.proof)[0] < np.inf:
+                return replace(NOTHING, reason=DOUBTFUL)
+            raise Infeasible(reason(self.problem, state, goals)) from None
+        except (SolverFailure, ArithmeticError, np.linalg.LinAlgError) as error:  # or an overflow
+            return replace(NOTHING, reason=str(error))
         if found.x is None:
             return replace(found, reason=f'no trajectory found in {found.nodes} relaxations')
         if not np.isfinite(found.x).all():  # its rollout and projection would raise errors
             return replace(NOTHING, reason='the trajectory found is not finite')
-        if usable is not None and found.x is usable.x and found.gap > self._tolerance:
+        if found.x is guess and found.gap > self._tolerance:
             return replace(found, reason=GOES_ON)
         return found
 
     def expect_hazards(self) -> None:
         """Build the method for hazards in advance, which takes a second or so."""
-        if self._among is None:
-            self._among = self._made(among=True)
+        assert self._among
+
+    @cached_property
+    def _among(self) -> Method:
+        """Return the method for states with hazards, built when needed: the general one."""
+        return self._made(among=True)
 
     def _made(self, *, among: bool) -> Method:
         known = self._units.problem, SEARCH_SHARE * self._tolerance
         return method_for(*known, coasting=self._coasting, among=among)
 
-    def _method_for(self, state: State) -> Method:
-        """Return the method for a state: with hazards it is the general one."""
-        if not state.hazards:
-            return self._method
-        self.expect_hazards()
-        assert self._among is not None
-        return self._among
-
-    def _usable(self, query: _Query, method: Method) -> Guess | None:
-        guess = query.guess
-        if guess is None or not method.takes_guess:
-            return None
-        if not method.trusts_guess:
-            return Guess(guess, np.inf)
-        plan = self._assembled(query, guess, UNPROVED)
-        return Guess(guess, plan.objective / self._units.cost) if self._sound(query, plan) else None
-
-    def _sound(self, query: _Query, plan: Plan) -> bool:
-        return holds(self.problem, query.state, query.goals, plan)
-
-    def _assembled(self, query: _Query, x: Array, proof: Proof) -> Plan:
-        known = self.problem, query.state, query.goals
+    def _assembled(self, asked: Request, x: Array, proof: Proof) -> Plan:
+        known = self.problem, asked.state, asked.goals
         plan = assemble(*known, x, projection=self._projection, proof=proof)
         if plan.objective < proof.lower_bound:  # constraints may be violated by rounding
             plan = replace(plan, proof=replace(proof, lower_bound=plan.objective))
         return plan
 
-    def _proof(self, query: _Query, found: Found) -> Proof:
+    def _proof(self, asked: Request, found: Found) -> Proof:
         """Return the proof of a result in natural units; no cost is negative, so no bound is.
 
         The bound is the verifier's for the method's tree; without a tree, or if the verifier runs
         out of time, the method's own.
         """
         cost, claimed, tree = self._units.cost, self._units.cost * found.lower_bound, found.proof
-        bound, tree = (-np.inf, None) if tree is None else self._verified(query, tree)
+        bound, tree = (-np.inf, None) if tree is None else self._verified(asked, tree)
         checked = -np.inf < bound < np.inf
         if not checked:
             bound, tree = claimed, None
@@ -367,55 +321,49 @@ class Solver:
         checked = checked or known == 0.0
         return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)
 
-    def _verified(self, query: _Query, tree: ProofTree) -> tuple[float, ProofTree]:
+    def _verified(self, asked: Request, tree: ProofTree) -> tuple[float, ProofTree]:
         """Return the verified bound of a tree in natural units, and the tree in users' units."""
         made = self._units.posed(tree)
         if self._verifier is None:
             return -np.inf, made
-        posed = query.searched, query.goals
-        return self._verifier.bound(*posed, made, query.out_of_time), made
+        posed = self._searched(asked.state), asked.goals
+        return self._verifier.bound(*posed, made, asked.out_of_time), made
 
-    def _instead(self, query: _Query, found: Found, failure: OrbimpcError) -> Plan:
+    def _instead(self, asked: Request, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest fallback plan that passes the check, or raise ``failure``."""
-        proof = self._proof(query, replace(found, reason=_joined(found.reason, STANDS_IN)))
-        plan = self._cheapest(query, proof, np.inf)
-        if plan is not None:
-            return plan
-        turning = self._turning(query, proof) if isinstance(failure, SolverFailure) else []
-        if not turning:
+        proof = self._proof(asked, replace(found, reason=_joined(found.reason, STANDS_IN)))
+        plan = self._cheapest(asked, self._unsought(asked), proof)
+        if plan is None and isinstance(failure, SolverFailure):
+            every = turning(self.problem, asked.state, asked.goals)
+            plan = self._cheapest(asked, in_time(every, asked.out_of_time), proof)
+        if plan is None:
             raise failure
-        return min(turning, key=attrgetter('objective'))
+        return plan
 
-    def _cheapest(self, query: _Query, proof: Proof, below: float) -> Plan | None:
-        """Return the cheapest fallback plan that passes the check and costs less than ``below``."""
-        known = self.problem, query.state, query.goals
-        priced = [(trajectory_of(*known, x).objective, x) for x in self._unsought(query)]
-        for cost, x in sorted(priced, key=itemgetter(0)):
-            if cost >= below:
-                return None
-            plan = self._assembled(query, x, proof)
-            if self._sound(query, plan):
-                return plan
-        return None
-
-    def _unsought(self, query: _Query) -> Iterator[Array]:
+    def _unsought(self, asked: Request) -> Iterator[Array]:
         """Yield the coordinates of fallback plans, shape (N, d): the guess and straight ones."""
-        if query.guess is not None:
-            yield query.guess  # rolled out from this state
-        for rotations in straight(self.problem, query.state, query.goals):
-            yield coordinates(rotations)
+        if asked.guess is not None:
+            yield asked.guess  # rolled out from this state
+        yield from straight(self.problem, asked.state, asked.goals)
 
-    def _turning(self, query: _Query, proof: Proof) -> list[Plan]:
-        """Return turning plans that pass the check; after the deadline one of the first few."""
-        sound = list[Plan]()
-        every = turning(self.problem, query.state, query.goals)
-        for rotations in in_time(every, query.out_of_time):
-            plan = self._assembled(query, coordinates(rotations), proof)
-            if self._sound(query, plan):
-                sound.append(plan)
-            if sound and query.late:
-                break
-        return sound
+    def _cheapest(
+        self, asked: Request, ways: Iterable[Array], proof: Proof, below: float = np.inf
+    ) -> Plan | None:
+        """Return the cheapest plan that passes the check and costs less than ``below``.
+
+        Args:
+            asked: the request.
+            ways: rotation coordinates of plans, shape (N, d) each.
+            proof: of a bound.
+            below: the limit of costs.
+        """
+        known, best = (self.problem, asked.state, asked.goals), None
+        for x in ways:
+            if trajectory_of(*known, x).objective < below:
+                plan = self._assembled(asked, x, proof)
+                if holds(*known, plan):
+                    best, below = plan, plan.objective
+        return best
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,15 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import aside_of, carried
+from orbimpc_ros.mpc.check import holds
+from orbimpc_ros.mpc.geometry.rotations import aside_of, carried, coordinates
 from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import climb
 from orbimpc_ros.mpc.problem.traffic import traffic_of, ways_out
 from orbimpc_ros.mpc.solve.arrivals import WITHIN, arc_of, arriving
+from orbimpc_ros.mpc.solve.request import Request
 
 # [rad] turned over the horizon, positive towards the goal; clipped to ``max_rate``.
 TURNS = (0.0, 3.0, -1.5, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
@@ -25,7 +28,7 @@ LATE, EACH = 8, 4  # corrections of an arc after the deadline; a trajectory take
 
 
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
-    """Yield R_1..R_N, shape (N, n, n), that go straight on, and straight to the goal.
+    """Yield coordinates of R_1..R_N, shape (N, d), that go straight on, and straight to the goal.
 
     Straight on at the present speed, at the least speed of the floor, and at full speed; to the
     goal after a turn at ``max_rate``. With a tilt or glide slope also straight up, which the relief
@@ -36,15 +39,12 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
         state: initial state.
         goals: g_1..g_N, shape (N, n) [m].
     """
-    ahead, first = _ahead(problem, state)
-    if first is not None:
-        firsts = [first]
-    else:
-        least = float(problem.floor.least(ahead[:, 0]))
-        present = float(np.linalg.norm(state.rotation[:, 0]))
-        firsts = [share * ahead for share in dict.fromkeys((max(present, least), least, 1.0))]
-    for each in firsts:
-        yield np.tile(each, (problem.horizon, 1, 1))
+    begun = ahead, first = _begun(problem, state)
+    least = float(problem.floor.least(ahead[:, 0]))
+    present = float(np.linalg.norm(state.rotation[:, 0]))
+    shares = dict.fromkeys((max(present, least), least, 1.0))
+    for each in [share * ahead for share in shares] if first is None else [first]:
+        yield coordinates(np.tile(each, (problem.horizon, 1, 1)))
     towards = goals[-1] - adrift(problem, state)[-1]
     distance = float(np.linalg.norm(towards))
     if distance > 0.0:
@@ -52,19 +52,13 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
         angle = 2.0 * math.atan2(np.linalg.norm(unit - axis), np.linalg.norm(unit + axis))
         turns = np.arange(problem.horizon) + 2.0 - problem.rotation_order
         angles = np.minimum(angle, WITHIN * problem.widest_turn * turns)
-        there = carried(ahead, _headings(problem, 1.0, axis, towards, angles))
-        if problem.rotation_order == 2:
-            there[0] = firsts[-1]
-        yield there
+        yield _along(begun, _headings(problem, 1.0, axis, towards, angles))
     if problem.has_cones:
-        upright = carried(ahead, climb(problem, state, goals)[1:])
-        if first is not None:
-            upright[0] = first
-        yield upright
+        yield _along(begun, climb(problem, state, goals)[1:])
 
 
 def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | None]:
-    """Yield R_1..R_N, shape (N, n, n), that turn; obstacles are ignored.
+    """Yield coordinates of R_1..R_N, shape (N, d), that turn; obstacles are ignored.
 
     With hazards, escapes in all directions at the fastest turn come first, the clearest one before
     others. Then turns at the least and at full speed; with a terminal constraint at medium and at
@@ -75,8 +69,10 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
         state: initial state.
         goals: g_1..g_N, shape (N, n) [m].
     """
-    ahead, first = _ahead(problem, state)
-    yield from _escaping(problem, state, ahead, first)
+    begun = ahead, first = _begun(problem, state)
+    traffic = traffic_of(problem, state) if state.hazards else None
+    for headings in () if traffic is None else ways_out(problem, state, traffic):
+        yield _along(begun, headings[1:])
     least = min(1.0, float(problem.floor.least(ahead[:, 0])))
     arrives = problem.terminal == 'constraint'
     speeds = dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0))
@@ -91,22 +87,19 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
             if arrives:
                 ways = arriving(problem, state, goals, arc_of(problem, ahead, z, towards, turn))
             for met in ways:
-                rotations = None if met is None else carried(ahead, met)
-                if rotations is not None and first is not None:
-                    rotations[0] = first
-                yield rotations
+                yield None if met is None else _along(begun, met)
 
 
-def _escaping(problem: Problem, state: State, ahead: Array, first: Array | None) -> Iterator[Array]:
-    """Yield R_1..R_N of escapes from hazards, the clearest one first."""
-    traffic = traffic_of(problem, state) if state.hazards else None
-    if traffic is None:
-        return
-    for headings in ways_out(problem, state, traffic):
-        rotations = carried(ahead, headings[1:])
-        if first is not None:
-            rotations[0] = first
-        yield rotations
+def sound(
+    problem: Problem, request: Request, ways: Iterable[Array | None]
+) -> Iterator[tuple[float, Array]]:
+    """Yield the costs and the coordinates of those of the ways that pass the check of plans."""
+    known = problem, request.state, request.goals
+    for x in ways:
+        if x is not None:
+            plan = assemble(*known, x, projection='thrust_aligned', proof=UNPROVED)
+            if holds(*known, plan):
+                yield plan.objective, x
 
 
 def in_time(
@@ -115,7 +108,7 @@ def in_time(
     """Yield trajectories that are not None until the deadline, then for a few milliseconds.
 
     Args:
-        ways: R_1..R_N or None, as from :func:`turning`.
+        ways: coordinates or None, as from :func:`turning`.
         out_of_time: polled after each of them; None for no deadline.
     """
     late = 0
@@ -128,13 +121,22 @@ def in_time(
             return
 
 
-def _ahead(problem: Problem, state: State) -> tuple[Array, Array | None]:
+def _begun(problem: Problem, state: State) -> tuple[Array, Array | None]:
     """Return the rotation from which turns start, and R_1 if the state determines it."""
     if problem.rotation_order == 1:
         return state.attitude, None
     if state.coasted is not None:
         return state.coasted, None
     return state.attitude, state.rotation + problem.step * state.rotation_rate
+
+
+def _along(begun: tuple[Array, Array | None], headings: Array) -> Array:
+    """Return the coordinates of rotations turned onto headings, shape (N, n), but a given R_1."""
+    ahead, first = begun
+    rotations = carried(ahead, headings)
+    if first is not None:
+        rotations[0] = first
+    return coordinates(rotations)
 
 
 def _turns(problem: Problem) -> list[float]:
