@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 29_887,
-    'orbimpc_ros/mpc': 15_570,
-    'orbimpc_ros/loop': 3_347,
+    'orbimpc_ros': 29_689,
+    'orbimpc_ros/mpc': 15_373,
+    'orbimpc_ros/loop': 3_346,
     'orbimpc_ros/ros': 4_304,
     'orbimpc_ros/sim': 2_432,
     'orbimpc_ros/tool': 4_107,
