@@ -36,7 +36,7 @@ from orbimpc_ros.mpc.problem import (
 )
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.proof import tree as trees
-from orbimpc_ros.mpc.proof.bound import leaf_bound, set_hessian, work_of
+from orbimpc_ros.mpc.proof.bound import leaf_bound, work_of
 from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, begin, part_of
 from orbimpc_ros.mpc.proof.stated import STEP, Body, Statement, rows_of
@@ -370,8 +370,8 @@ class Part:
         speed, kind = float(np.linalg.norm(heading)), int(rng.choice(3, p=[0.5, 0.2, 0.3]))
         if kind == 0 and self.n == 2 and speed > 1e-6:
             self._turned(k, *rng.permutation([abs(off) * rng.uniform(), abs(off)]))
-        elif kind == 0 and len(self.stated.sets.faces):
-            faces = np.array(self.stated.sets.faces, float)
+        elif kind == 0 and len(self.stated.faces):
+            faces = np.array(self.stated.faces, float)
             inside = np.flatnonzero(faces @ heading >= self.posed.problem.floor.fraction)
             if len(inside):
                 self.cut(trees.FACES, k, len(faces), 0.0, int(rng.choice(inside)))
@@ -392,7 +392,7 @@ class Part:
         """Return the directions of R_1 e1..R_N e1; unwrapped if turns are limited [rad]."""
         z, state = self.drawn.plan.rotations[:, :, 0], self.posed.state
         angles = np.arctan2(z[1:, 1], z[1:, 0])
-        if self.stated.root.turn < 0:
+        if self.stated.turn < 0:
             return angles
         decided = self.posed.problem.rotation_order == 2 and state.coasted is not None
         ahead = (state.coasted if decided else state.attitude)[:, 0]
@@ -404,13 +404,13 @@ class Part:
         """Split directions in the plane on both sides of one; into arcs if all are allowed."""
         if self.region.part[self.depth, choice] == WHOLE:
             parts, at = int(self.rng.integers(2, 6)), float(self.rng.normal())
-            share = float(self.stated.sets.full) / parts
+            share = float(self.stated.full) / parts
             i, left = divmod((angle - at) % (2.0 * np.pi), share)
             if 1e-9 < left < share - 1e-9:
                 self.cut(trees.ARCS, choice, parts, at, int(i))
             return
         low = float(self.region.span[self.depth, choice, 0])
-        if choice >= self.count or self.stated.root.turn < 0:
+        if choice >= self.count or self.stated.turn < 0:
             angle = low + (angle - low) % (2.0 * np.pi)
         self.cut(trees.CUT, choice, 2, float(angle - below), 1)
         self.cut(trees.CUT, choice, 2, float(angle + above), 0)
@@ -419,7 +419,7 @@ class Part:
         """Split directions in space, if one is strictly inside a triangle."""
         whole = self.region.part[self.depth, choice] == WHOLE
         kind, parts = (trees.PATCHES, 20) if whole else (trees.QUARTERS, 4)
-        triangles = self.stated.root.patches[:20]
+        triangles = self.stated.patches[:20]
         if not whole:
             a, b, c = self.region.corners[self.depth, choice]
             ab, bc, ca = a + b, b + c, c + a
@@ -465,7 +465,7 @@ class Part:
     def leaf(self, empty: bool) -> ProofTree:
         """Return a leaf with random multipliers of random magnitude."""
         rng, count, n = self.rng, self.count, self.n
-        stated, ends = self.stated, self.stated.ends
+        stated = self.stated
         point, shor = np.zeros((count, stated.width)), np.zeros(count)
 
         def some(*shape: int) -> np.ndarray:
@@ -479,15 +479,15 @@ class Part:
         if not empty and _sometimes(rng, 0.3):
             shor = some(count)
         made: dict[str, np.ndarray] = {}
-        if ends.arrives and _sometimes(rng, 0.7):
-            made['pull'] = some(ends.arrives, n)
+        if stated.arrives and _sometimes(rng, 0.7):
+            made['pull'] = some(stated.arrives, n)
         if _sometimes(rng, 0.4):
             made['share'] = some(count, n)
-        if ends.sine > 0 and _sometimes(rng, 0.8):
+        if stated.sine > 0 and _sometimes(rng, 0.8):
             made['slide'] = self._slides()
-        if ends.chord >= 0 and _sometimes(rng, 0.5):
+        if stated.chord >= 0 and _sometimes(rng, 0.5):
             made['tether'] = some(count, n)
-            made['tether'][: ends.begun] = 0.0
+            made['tether'][: stated.begun] = 0.0
         rows = self._rows() if _sometimes(rng, 0.7) else np.zeros(0, np.int64)
         press = np.abs(some(len(rows))) if len(rows) else np.zeros(0)
         leaf = one(point, shor, **made)
@@ -523,7 +523,6 @@ class Part:
 
     def bound(self, leaf: ProofTree, empty: bool) -> tuple[float, bool]:
         """Return the bound that a leaf proves on the part, and True if it is sound."""
-        set_hessian(self.stated, leaf, self.work)
         known = self.stated, self.region, self.depth, tree_in_fractions(leaf), 0, empty, self.work
         value, sound = leaf_bound(*known)
         return float(value), sound

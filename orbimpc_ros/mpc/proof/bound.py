@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, EMPTY, KIND, LEAF, ROW
 
 # The walk has ended; the tree is invalid; the walk has paused, or needs a row for another depth.
 ENDED, UNSOUND, PAUSED, DEEP = range(4)
-DEPTH, PARENT, WAITING = range(3)  # rows of a walk: of each node, and the stack of nodes to visit
+DEPTH, WAITING, PARENT = range(3)  # rows of a walk: of each node; a stack of nodes to visit
 
 
 class Units(NamedTuple):
@@ -57,26 +57,32 @@ class Work(NamedTuple):
     Attributes:
         flown: positions relative to s_0, velocities, and forces on both, shape (4, N + 1, n).
         slopes: shape (N, d).
+        point: the tangent point of a leaf, shape (N, d).
+        shor: curvature that the leaf assigns to steps, shape (N,).
         vectors: a normal, and the remainder of a slope, shape (2, d or 3).
         matrix: shape (4, 4).
         squares: what is left of the Hessian of the cost, and two rows, shape (N + 2, N).
         ends: the ends of the last sectors in the plane, as :func:`rim` sets them, shape (N, 2, 5).
+        convex: curvatures without which the cost is convex, shape (N,).
         units: for the Hessian.
     """
 
     flown: Any
     slopes: Any
+    point: Any
+    shor: Any
     vectors: Any
     matrix: Any
     squares: Any
     ends: Any
+    convex: Any
     units: Units
 
 
 @generic
-def _turned(order, costs, start, point, slopes):
+def _turned(stated, start, point, slopes):
     """Add the slopes of the costs of turns and of the final attitude; return these costs."""
-    count, weight = len(point), costs.turned
+    count, weight, order = len(point), stated.turned, stated.order
     value = 0 * weight
     for c in range(point.shape[1]):
         for last in range(order - 1, count if weight != 0 else 0):
@@ -89,23 +95,23 @@ def _turned(order, costs, start, point, slopes):
                 push = 2 * weight * turned * (1 if a != 1 else -order)
                 slopes[last - a, c] = slopes[last - a, c] + push
         off = point[count - 1, c] - start[WANTED, c]
-        value = value + costs.aimed * off * off
-        slopes[count - 1, c] = slopes[count - 1, c] + 2 * costs.aimed * off
+        value = value + stated.aimed * off * off
+        slopes[count - 1, c] = slopes[count - 1, c] + 2 * stated.aimed * off
     return value
 
 
 @generic
-def _flown(costs, goals, point, flown):
+def _flown(stated, goals, point, flown):
     """Add forces of the costs of positions and of the last velocity; return these costs."""
-    count, value = len(point), 0 * costs.turned
+    count, value = len(point), 0 * stated.turned
     for c in range(flown.shape[2]):
         for k in range(1, count + 1):
-            weight, miss = costs.weights[0, k], flown[0, k, c] - goals[k - 1, c]
+            weight, miss = stated.weights[0, k], flown[0, k, c] - goals[k - 1, c]
             value = value + weight * miss * miss
             flown[2, k, c] = flown[2, k, c] + 2 * weight * miss
         fast = flown[1, count, c]
-        value = value + costs.braked * fast * fast
-        flown[3, count, c] = flown[3, count, c] + 2 * costs.braked * fast
+        value = value + stated.braked * fast * fast
+        flown[3, count, c] = flown[3, count, c] + 2 * stated.braked * fast
     return value
 
 
@@ -137,29 +143,30 @@ def _of_step(stated, known, k, tree, leaf, length, shor, work):
         shor: its own curvature.
         work: work arrays, with the slopes.
     """
-    n, sets, g, zero = stated.n, stated.sets, work.slopes[k], 0 * length
-    own, rest = work.vectors[0], work.vectors[1]
-    split, size = len(g) == 9, abs(length) + abs(shor)
+    n, g, zero, whole = stated.n, work.slopes[k], 0 * length, len(work.slopes[k]) == 9
+    own, rest, split, shared = work.vectors[0], work.vectors[1], whole, tree.share.size > 0
+    for c in range(n if shared else 0):
+        split = split or tree.share[leaf, k, c] != 0
+    size = abs(length) + abs(shor)
     for c in range(len(g)):
-        own[c] = tree.share[leaf, k, c] if c < n and tree.share.size > 0 else zero
-        rest[c], split = g[c] - own[c], split or own[c] != 0
-        size = size + abs(g[c]) + 2 * abs(own[c])
-    if not split:
-        return over_stage(sets, known, k, g[:n], length, shor, n), size
-    if len(g) == 9:
-        value = over_orbitope(rest, work.matrix)
-    else:
-        value = over_stage(sets, known, k, rest[:n], zero, zero, n)
-    return value + over_stage(sets, known, k, own[:n], length, shor, n), size
+        part = tree.share[leaf, k, c] if shared and c < n else zero
+        own[c] = part if split else g[c]
+        rest[c] = g[c] - own[c]
+        size = size + abs(own[c]) + 2 * abs(rest[c])
+    value = over_orbitope(rest, work.matrix) if whole else zero
+    for i in range(2 if split and not whole else 1):
+        weights = (length, shor) if i == 0 else (zero, zero)
+        value = value + over_stage(stated, known, k, work.vectors[i], *weights)
+    return value, size
 
 
 @generic
 def _at_point(stated, start, goals, point, flown, slopes):
     """Set the trajectory of a point, and slopes and forces of its cost, which is returned."""
     rolled(stated.motion, start, point, flown)
-    slopes[:] = 0 * stated.sets.full
-    turned = _turned(stated.order, stated.costs, start, point, slopes)
-    return turned + _flown(stated.costs, goals, point, flown)
+    slopes[:] = 0 * stated.full
+    turned = _turned(stated, start, point, slopes)
+    return turned + _flown(stated, goals, point, flown)
 
 
 @generic
@@ -178,21 +185,21 @@ def _tangent(n, point, shor, slopes):
 @generic
 def _held(stated, region, depth, tree, leaf, work):
     """Add forces of a leaf's multipliers; return their value, its size, and if they are valid."""
-    ends, flown = stated.ends, work.flown
+    flown = work.flown
     begun = tree.press_end[leaf - 1] if leaf > 0 else 0
-    value = size = 0 * stated.sets.full
+    value = size = 0 * stated.full
     held = 0 <= begun <= tree.press_end[leaf] <= len(tree.press)
     if held and begun < tree.press_end[leaf]:
         value, size, held = pressed(stated, region, depth, tree, begun, leaf, work)
     if tree.tether.size > 0:
         point, tied = tree.point[leaf], stated.start[TIED]
-        more, terms, sound = towed(ends, tree.tether[leaf], point, tied, work.slopes)
+        more, terms, sound = towed(stated, tree.tether[leaf], point, tied, work.slopes)
         value, size, held = value + more, size + terms, held and sound
     if tree.slide.size > 0 and stated.n == 3:
-        more, terms, sound = slid(ends, tree.slide[leaf], flown)
+        more, terms, sound = slid(stated, tree.slide[leaf], flown)
         value, size, held = value + more, size + terms, held and sound
     if tree.pull.size > 0:
-        more, terms = pulled(ends, tree.pull[leaf], flown)
+        more, terms = pulled(stated, tree.pull[leaf], flown)
         value, size = value + more, size + terms
     return value, size, held
 
@@ -208,17 +215,21 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
         tree: whose arrays fit the problem.
         leaf: its row.
         empty: whether to prove that the leaf is empty: by a positive bound without any cost.
-        work: work arrays; the Hessian is set.
+        work: work arrays.
     """
-    point, shor, slopes, zero = tree.point[leaf], tree.shor[leaf], work.slopes, 0 * stated.sets.full
+    point, shor, slopes, zero = work.point, work.shor, work.slopes, 0 * stated.full
+    for k in range(len(point)):  # at once, so that they are fetched from memory together
+        shor[k] = tree.shor[leaf, k]
+        for c in range(point.shape[1]):
+            point[k, c] = tree.point[leaf, k, c]
     count, value = len(point), zero
     known = region.part[depth], region.span[depth], region.corners[depth], work.ends
     if empty:
         rolled(stated.motion, stated.start, point, work.flown)
         slopes[:] = zero
     else:
-        value = _at_point(stated, stated.start, stated.ends.goals, point, work.flown, slopes)
-        value = value + stated.costs.weights[1, 0] * size_of(stated.start[FIRST], stated.n)
+        value = _at_point(stated, stated.start, stated.goals, point, work.flown, slopes)
+        value = value + stated.weights[1, 0] * size_of(stated.start[FIRST], stated.n)
     size = value
     more, terms, held = _held(stated, region, depth, tree, leaf, work)
     value, size = value + more, size + terms
@@ -228,12 +239,12 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
     more, terms = _tangent(0 if empty else stated.n, point, shor, slopes)
     value, size = value + more, size + terms
     if not empty:
-        convex, off = _lost(stated.ends, shor, point, work)
+        convex, off = _lost(stated, shor, point, work)
         value = value - off
         if not convex:
             return value, False
     for k in range(count):
-        length, kept = (zero, zero) if empty else (stated.costs.weights[1, k + 1], shor[k])
+        length, kept = (zero, zero) if empty else (stated.weights[1, k + 1], shor[k])
         if k < stated.order - 1:
             more, terms = _of_decided(stated, known[1][count], slopes[0], length, kept)
         else:
@@ -251,8 +262,8 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
     Args:
         stated: the problem.
         tree: whose arrays fit the problem.
-        walk: depth of each node, -1 before it is reached, its parent, and a stack of the nodes to
-            visit, shape (3, M).
+        walk: depth of each node, -1 before it is reached; a stack of the nodes to visit, and their
+            parents; shape (3, M).
         region: to be written, a row for each depth.
         work: to be written.
         least: of the bounds so far.
@@ -270,7 +281,6 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
         known = begin(stated, tree.origins, region.part[0], region.span[0])
         if known != HELD:
             return least, 0, 0, ENDED if known == GONE else UNSOUND
-        set_hessian(stated, tree, work)
         walk[DEPTH], walk[DEPTH, 0] = -1, 0
         number, waiting[0] = 1, 0
     while number > 0:
@@ -278,7 +288,7 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
         if seen == most or walk[DEPTH, t] == len(region.part):
             return least, found, number, PAUSED if seen == most else DEEP
         number -= 1
-        known = _entered(stated, tree, walk, t, region)
+        known = _entered(stated, tree, walk, number, region)
         if known == GONE:
             continue
         if known != HELD:
@@ -311,17 +321,17 @@ def _put(nodes, walk, t, number):
     for i in range(parts):
         if walk[DEPTH, first + i] >= 0:
             return -1
-        walk[DEPTH, first + i], walk[PARENT, first + i] = walk[DEPTH, t] + 1, t
-        walk[WAITING, number + i] = first + i
+        walk[DEPTH, first + i] = walk[DEPTH, t] + 1
+        walk[WAITING, number + i], walk[PARENT, number + i] = first + i, t
     return number + parts
 
 
 @generic
-def _entered(stated, tree, walk, t, region):
-    """Set the restrictions of a node from those of its parent; see :func:`part_of`."""
+def _entered(stated, tree, walk, number, region):
+    """Set the restrictions of a node on the stack from its parent's; see :func:`part_of`."""
+    t, above = walk[WAITING, number], walk[PARENT, number]
     if t == 0:
         return HELD
-    above = walk[PARENT, t]
     whole = tree.nodes[above]
     i, depth = t - whole[CHILD], walk[DEPTH, t]
     return part_of(stated, whole, tree.at[above], i, depth, region)
@@ -332,7 +342,7 @@ def _proved(stated, region, depth, tree, node, work):
     """Return the bound of a leaf, and whether it is valid; see :func:`leaf_bound`."""
     empty = node[KIND] == EMPTY
     if not 0 <= node[ROW] < len(tree.point):
-        return 0 * stated.sets.full, False
+        return 0 * stated.full, False
     value, sound = leaf_bound(stated, region, depth, tree, node[ROW], empty, work)
     return value, sound and abs(value) >= 0 and (value > 0 or not empty)
 
@@ -341,70 +351,70 @@ def _proved(stated, region, depth, tree, node, work):
 
 
 @generic
-def set_hessian(stated, tree, work):
-    """Set the Hessian of the cost in z_1..z_N along an axis, if a leaf assigns curvature to steps.
-
-    Its columns are the gradients at unit headings.
-    """
-    if is_bent(tree.shor):
-        units = work.units
-        _at_point(stated, units.start, units.goals, units.point, units.flown, units.slopes)
-        pulled_back(stated.motion, units.flown, units.slopes)
+def _is_within(shor, most):
+    """Return whether a leaf assigns no more curvature to each step than given."""
+    within = True
+    for k in range(len(shor)):
+        within = within and shor[k] <= most[k]
+    return within
 
 
 @generic
-def is_bent(shor):
-    """Return whether curvature is assigned to any step, of one leaf or of all."""
-    bent = False
-    for each in shor.ravel():
-        bent = bent or each > 0
-    return bent
-
-
-@generic
-def _lost(ends, shor, point, work):
+def _lost(stated, shor, point, work):
     """Return whether the cost less a leaf's curvature is convex, and the error of its tangent.
 
     If plans must arrive, convex on the null space of the arrival's rows. The tangent has an error
-    if its point misses the arrival by rounding.
+    if its point misses the arrival by rounding. Without any curvature the cost is convex, and with
+    less than was found to be convex it is convex, too.
 
     Args:
-        ends: data of the arrival.
+        stated: the problem.
         shor: curvature assigned to steps, shape (N,).
         point: tangent point, shape (N, d).
-        work: positions and velocities there, the Hessian, and work arrays.
+        work: positions and velocities there, and work arrays.
     """
-    count, n, hessian = len(shor), work.flown.shape[2], work.units.slopes
-    m, zero = work.squares[:count], 0 * ends.chord
-    top, longest = zero, zero + 1
-    if not is_bent(shor):
+    units, zero = work.units, 0 * stated.full
+    if _is_within(shor, work.convex):
         return True, zero
-    for i in range(count):
-        for j in range(i + 1):
-            m[i, j] = hessian[i, j] - (shor[i] if i == j else zero)
-            m[j, i] = m[i, j]
-            top = max(top, abs(m[i, j]))
-    off = _arrived(ends, m, top, work) if ends.arrives > 0 else zero
+    if units.slopes[0, 0] == 0:  # not set yet: its columns are the gradients at unit headings
+        _at_point(stated, units.start, units.goals, units.point, units.flown, units.slopes)
+        pulled_back(stated.motion, units.flown, units.slopes)
+    count, m, top, longest = len(shor), work.squares[: len(shor)], zero, zero + 1
     for k in range(count):
-        for c in range(n):
+        top = max(top, units.slopes[k, k], abs(shor[k]))
+    for i in range(count):
+        for j in range(count):
+            m[i, j] = units.slopes[i, j] / top
+        m[i, i] = m[i, i] - shor[i] / top
+    off = _arrived(stated, m, work) if stated.arrives > 0 else zero
+    for k in range(count):
+        for c in range(stated.n):
             longest = max(longest, abs(point[k, c]))
-    taken = top * count * off * (2 * n * count * (1 + longest) + off)
-    return _is_convex(m, slack(top) * 4 * count), taken
+    taken = 2 * top * count * off * (2 * stated.n * count * (1 + longest) + off)
+    convex = _is_convex(m, 8 * count * slack(1 + zero))
+    for k in range(count if convex and stated.arrives == 0 else 0):
+        work.convex[k] = shor[k]
+    return convex, taken
 
 
 @generic
-def _arrived(ends, m, top, work):
+def _arrived(stated, m, work):
     """Make a matrix steep across the rows of an arrival, and leave it as it is along them.
 
     With a a row, orthogonal to the one before, and P the projection onto its null space, M becomes
-    P M P + top a a' / a'a.
+    P M P + a a' / a'a.
 
     Returns:
         How far the point misses the arrival.
     """
     flown, arrival, count = work.flown, work.units.flown[:, len(m)], len(m)
-    a, u, off, ratio = work.squares[count], work.squares[count + 1], 0 * ends.chord, 0 * ends.chord
-    for r in range(ends.arrives):
+    a, u, off, ratio = (
+        work.squares[count],
+        work.squares[count + 1],
+        0 * stated.chord,
+        0 * stated.chord,
+    )
+    for r in range(stated.arrives):
         largest = square = 0 * off
         for i in range(count):
             a[i] = arrival[r, i] - ratio * arrival[0, i]
@@ -412,13 +422,13 @@ def _arrived(ends, m, top, work):
         if largest == 0:
             continue
         for c in range(flown.shape[2]):
-            missed = flown[0, count, c] - ends.goals[count - 1, c]
+            missed = flown[0, count, c] - stated.goals[count - 1, c]
             if r == 1:
                 missed = flown[1, count, c] - ratio * missed
             off = off + 4 * abs(missed / largest)
         for i in range(count):
             u[i] = coarse(dot(m[i], a, count) / square)
-        bent = (dot(a, u, count) + top) / square
+        bent = (dot(a, u, count) + 1) / square
         for i in range(count):
             for j in range(count):
                 m[i, j] = coarse(m[i, j] - u[i] * a[j] - a[i] * u[j] + bent * a[i] * a[j])
@@ -428,15 +438,15 @@ def _arrived(ends, m, top, work):
 
 @generic
 def _is_convex(m, margin):
-    """Return whether a matrix is positive definite, by Cholesky's method."""
-    for i in range(len(m)):
-        for j in range(i + 1):
-            entry = m[i, j] - (margin if i == j else 0 * margin)
-            for k in range(j):
-                entry = entry - m[i, k] * m[j, k] * m[k, k]
-            if i == j and not entry > 0:
-                return False
-            m[i, j] = coarse(entry if i == j else entry / m[j, j])
+    """Return whether a matrix is positive definite, by elimination in its upper triangle."""
+    for k in range(len(m)):
+        pivot = m[k, k] - margin
+        if not pivot > 0:
+            return False
+        for i in range(k + 1, len(m)):
+            share = coarse(m[k, i] / pivot)
+            for j in range(i, len(m)):
+                m[i, j] = coarse(m[i, j] - share * m[k, j])
     return True
 
 
@@ -450,6 +460,15 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     one = as_fractions(np.eye(count)) if kind is object else np.eye(count)
     square, path = zeros(count, count), zeros(4, count + 1, count)
     units = Units(zeros(6, count), zeros(count, count), one, path, square)
-    flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
-    squares, ends = zeros(count + 2, count), zeros(count, 2, 5)
-    return Work(flown, slopes, vectors, zeros(4, 4), squares, ends, units)
+    return Work(
+        flown=zeros(4, count + 1, n),
+        slopes=zeros(count, width),
+        point=zeros(count, width),
+        shor=zeros(count),
+        vectors=zeros(2, width),
+        matrix=zeros(4, 4),
+        squares=zeros(count + 2, count),
+        ends=zeros(count, 2, 5),
+        convex=zeros(count),
+        units=units,
+    )

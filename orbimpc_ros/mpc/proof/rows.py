@@ -16,25 +16,24 @@ from orbimpc_ros.mpc.proof.tree import POINTS
 
 
 @generic
-def _around(low, high, sets, normal):
-    """Set the middle of a sector; return the least cosine and largest sine of angles to it."""
-    zero = 0 * sets.full
-    if 2 * (high - low) >= sets.full - 2 * sets.narrow:
-        return zero, zero
-    normal[0], normal[1] = direction((low + high) / 2)
-    return direction((high - low) / 2)
-
-
-@generic
-def side_of(sets, bodies, choice, part, span, corners, normal):
+def side_of(stated, choice, part, span, corners, normal):
     """Set the normal of the half-space on the side of a body to which a choice is restricted.
+
+    Args:
+        stated: the problem.
+        choice: a side of a body.
+        part: of all choices.
+        span: of all choices.
+        corners: of all choices.
+        normal: to be set, shape (n,) at least.
 
     Returns:
         The least distance of a control point from the moved body's position along the normal; by
         how much less that of the others may be; the size of both terms, negative without a side.
     """
-    count, n = bodies.places.shape[1], bodies.places.shape[3]
-    j, k, side, zero = choice // count - 2, choice % count, part[choice], 0 * sets.full
+    n, bodies, zero = stated.n, stated.bodies, 0 * stated.full
+    count, side = bodies.places.shape[1], part[choice]
+    j, k = choice // count - 2, choice % count
     radius, grown = bodies.extents[j, 2 * n], bodies.margins[0, j, k]
     if side == WHOLE:
         return zero, zero, zero - 1
@@ -43,14 +42,13 @@ def side_of(sets, bodies, choice, part, span, corners, normal):
         normal[side % n] = zero + (1 if side >= n else -1)
         out = bodies.extents[j, side]
         return out + grown, zero, abs(out) + abs(grown)
-    if radius + grown <= 0:
-        return zero, zero, zero - 1
     if n == 2:
-        least, aside = _around(span[choice, 0], span[choice, 1], sets, normal)
+        low, high = span[choice]
+        half = min(stated.full / 4, (high - low) / 2 + slack(abs(low) + abs(high)))
+        (least, aside), (normal[0], normal[1]) = direction(half), direction((low + high) / 2)
     else:
-        axis, least, aside = about(corners[choice])
-        normal[0], normal[1], normal[2] = axis
-    if least <= 0:
+        (normal[0], normal[1], normal[2]), least, aside = about(corners[choice])
+    if radius + grown <= 0 or least <= stated.narrow:
         return zero, zero, zero - 1
     off = aside * bodies.margins[1, j, k]
     return least * (radius + grown), off, radius + abs(grown) + off
@@ -63,7 +61,7 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
     Returns:
         Their value; the size of its terms; whether all of them have such a half-space.
     """
-    motion, sets, bodies, zero = stated.motion, stated.sets, stated.bodies, 0 * stated.sets.full
+    motion, bodies, zero = stated.motion, stated.bodies, 0 * stated.full
     value, size, normal, n = zero, zero, work.vectors[0], stated.n
     count, degree, flown = len(work.slopes), motion.degree, work.flown
     end, rows = tree.press_end[leaf], POINTS * count * len(bodies.at)
@@ -78,7 +76,7 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
         j, k = choice // count - 2, choice % count
         i = bodies.at[j, k, at]
         part, span, corners = region.part[d], region.span[d], region.corners[d]
-        out, off, terms = side_of(sets, bodies, choice, part, span, corners, normal)
+        out, off, terms = side_of(stated, choice, part, span, corners, normal)
         if i < 0 or terms < 0:
             return value, size, False
         value, size = value + y * (out - off), size + y * terms
@@ -97,15 +95,15 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
 
 
 @generic
-def towed(ends, tether, point, tied, slopes):
+def towed(stated, tether, point, tied, slopes):
     """Add the slopes of multipliers of turns; return as :func:`pressed` does."""
-    chord, n = ends.chord, ends.goals.shape[1] - 1
+    chord, n = stated.chord, stated.n
     value, size = 0 * chord, 0 * chord
     for k in range(len(tether)):
         steep = size_of(tether[k], n)
         if steep == 0:
             continue
-        if chord < 0 or k < ends.begun:
+        if chord < 0 or k < stated.begun:
             return value, size, False
         value, size = value - chord * steep, size + chord * steep
         for c in range(n):
@@ -119,36 +117,36 @@ def towed(ends, tether, point, tied, slopes):
 
 
 @generic
-def slid(ends, slide, flown):
+def slid(stated, slide, flown):
     """Add the forces of multipliers of the glide slope; return as :func:`pressed` does."""
-    value, size = 0 * ends.chord, 0 * ends.chord
-    sine, cosine = ends.sine - 2 * slack(ends.cosine), ends.cosine + 2 * slack(ends.cosine)
+    value, size = 0 * stated.chord, 0 * stated.chord
+    sine, cosine = stated.sine - 2 * slack(stated.cosine), stated.cosine + 2 * slack(stated.cosine)
     for k in range(len(slide)):
         down, square = -slide[k, 2], slide[k, 0] ** 2 + slide[k, 1] ** 2
         if down == 0 and square == 0:
             continue
         if sine < 0 or down < 0 or cosine * cosine * square > sine * sine * down * down:
             return value, size, False
-        eased = down * ends.goals[k, 3] / ends.cosine
+        eased = down * stated.goals[k, 3] / stated.cosine
         value, size = value - eased, size + 2 * eased
         for c in range(3):
-            force = slide[k, c] * (flown[0, k + 1, c] - ends.goals[k, c])
+            force = slide[k, c] * (flown[0, k + 1, c] - stated.goals[k, c])
             value, size = value + force, size + abs(force)
             flown[2, k + 1, c] = flown[2, k + 1, c] + slide[k, c]
     return value, size, True
 
 
 @generic
-def pulled(ends, pull, flown):
+def pulled(stated, pull, flown):
     """Add the forces of multipliers of an arrival.
 
     Returns:
         Their value; the size of its terms.
     """
-    value, size, count = 0 * ends.chord, 0 * ends.chord, len(ends.goals)
+    value, size, count = 0 * stated.chord, 0 * stated.chord, len(stated.goals)
     for i in range(len(pull)):
         for c in range(pull.shape[1]):
-            missed = flown[i, count, c] - (ends.goals[count - 1, c] if i == 0 else 0 * value)
+            missed = flown[i, count, c] - (stated.goals[count - 1, c] if i == 0 else 0 * value)
             force = pull[i, c] * missed
             value, size = value + force, size + abs(force)
             flown[2 + i, count, c] = flown[2 + i, count, c] + pull[i, c]

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Support functions of stage sets: lower bounds on linear functions of one heading.
+"""Support functions of stage stated: lower bounds on linear functions of one heading.
 
 In either arithmetic, up to rounding, which the bound of a leaf subtracts.
 
@@ -71,7 +71,7 @@ def in_cone(g, axis, cosine, sine, n):
 
 
 @generic
-def rim(sets, angle, end):
+def rim(stated, angle, end):
     """Set the end of a sector: its angle, cosine and sine; a polygonal floor's speed, and its face.
 
     Faces are counted from 0, at their middles. A sector often has an end in common with the one
@@ -80,56 +80,55 @@ def rim(sets, angle, end):
     if end[0] == angle and (end[1] != 0 or end[2] != 0):
         return
     end[0], (end[1], end[2]) = angle, direction(angle)
-    if sets.share > 0:
-        end[4] = angle / sets.share
-        face = direction(sets.share * math.floor((2 * end[4] + 1) / 2))
-        end[3] = sets.least / (end[1] * face[0] + end[2] * face[1])
+    if stated.share > 0:
+        end[4] = angle / stated.share
+        face = stated.faces[math.floor((2 * end[4] + 1) / 2) % len(stated.faces)]
+        end[3] = stated.least / (end[1] * face[0] + end[2] * face[1])
 
 
 @generic
-def in_sector(g, size, ends, sets):
+def in_sector(g, size, ends, full, narrow):
     """Return the least g . (cos, sin) over the directions of a sector; g has this size."""
     (low, a, b, _, _), (high, c, d, _, _) = ends
     off, width = -TOLERANCE * slack(size), high - low
     after, before = b * g[0] - a * g[1] >= off, c * g[1] - d * g[0] >= off  # downhill
-    if 2 * width > sets.full:
-        inside = after or before or width >= sets.full - sets.narrow
+    if 2 * width > full:
+        inside = after or before or width >= full - narrow
     else:
         inside = after and before and (a + c) * g[0] + (b + d) * g[1] <= -off
     return -size if inside else min(g[0] * a + g[1] * b, g[0] * c + g[1] * d)
 
 
 @generic
-def nearest_floor(ends, sets):
+def nearest_floor(ends, least, share):
     """Return the least speed of a polygonal floor in a sector."""
     (low, _, _, first, begun), (high, _, _, last, ended) = ends
-    if math.floor(ended) >= math.ceil(begun) or high - low >= sets.share:
-        return sets.least
+    if math.floor(ended) >= math.ceil(begun) or high - low >= share:
+        return least
     return min(first, last)
 
 
 @generic
-def over_polygon(g, along, known, k, speeds, length, curve, sets):
-    """Return a bound over a step's sector beyond a polygonal floor; see :func:`over_stage`.
+def over_polygon(stated, g, along, ends, speeds, length, curve):
+    """Return a bound over a sector beyond a polygonal floor; see :func:`over_stage`.
 
     A linear function that is positive on the rim, as it can be in narrow sectors or if a cone
     leaves only directions uphill, is least there, or at an end or a corner of the floor.
     """
-    ends, share, best = known[3][k], sets.share, along * speeds[1]
-    low, high = ends[0, 0], ends[1, 0]
+    (low, _, _, _, begun), (high, _, _, _, ended) = ends
+    share, faces, best = stated.share, stated.faces, along * speeds[1]
     if length != 0 or curve != 0:
-        middle = share * round((low + high) / (2 * share))
-        if max(middle - low, high - middle) - share / 2 > sets.narrow:  # beyond several faces
+        i = round((begun + ended) / 2)
+        if max(share * i - low, high - share * i) - share / 2 > stated.narrow:  # several faces
             return over_speeds(along + length, curve, speeds[0], speeds[1])
-        face, least = direction(middle), sets.least - 4 * sets.narrow
+        face, least = faces[i % len(faces)], stated.least - 4 * stated.narrow
         return over_face(g, along, face, least, speeds, length, curve, 2)
     for end in ends:
         best = min(best, (g[0] * end[1] + g[1] * end[2]) * end[3])
-    first, last = math.ceil((2 * ends[0, 4] - 1) / 2), math.floor((2 * ends[1, 4] - 1) / 2)
-    for i in range(first, last + 1):
-        x, y = direction((2 * i + 1) * share / 2)
-        outward = sets.least / direction(share / 2)[0]
-        best = min(best, (g[0] * x + g[1] * y) * outward)
+    for i in range(math.ceil((2 * begun - 1) / 2), math.floor((2 * ended + 1) / 2)):
+        a, b = faces[i % len(faces)], faces[(i + 1) % len(faces)]
+        along = g[0] * (a[0] + b[0]) + g[1] * (a[1] + b[1])
+        best = min(best, along * stated.least / (1 + a[0] * b[0] + a[1] * b[1]))
     return best
 
 
@@ -197,36 +196,23 @@ def over_orbitope(g, matrix):
 
 
 @generic
-def in_part(sets, known, k, g, size, n):
-    """Return the least g . u over directions u in the sector of step k, or around its patch."""
-    if known[0][k] < 0 or (n == 3 and len(sets.faces) > 0):
-        return -size
-    if n == 2:
-        (low, high), ends = known[1][k], known[3][k]
-        rim(sets, low, ends[0])
-        rim(sets, high, ends[1])
-        return in_sector(g, size, ends, sets)
-    axis, cosine, sine = about(known[2][k])
-    return in_cone(g, axis, cosine, sine, 3)
+def in_both(g, size, cone, axis, cosine, sine):
+    """Return a lower bound of g . u over unit vectors u in two cones; g has this size.
 
-
-@generic
-def in_both(g, cone, corners):
-    """Return a lower bound of g . u over unit vectors u around a patch and in a cone.
-
-    For any t >= 0 this is t cos d plus the least (g - t a) . u around the patch, concave in t, with
-    the cone's axis a and angle d. The search begins at the t for which the minimiser over all
-    directions is on the rim of the cone, and halves its steps.
+    For any t >= 0 this is t cos d plus the least (g - t a) . u in the second cone, concave in t,
+    with the axis a and the angle d of the first. The search begins at the t for which the minimiser
+    over all directions is on the rim of the first cone, and halves its steps.
     """
-    size, (along, square) = size_of(g, 3), along_and_across(g, cone, 3)
+    along, square = along_and_across(g, cone, 3)
     t = along + root(square) * cone[3] / cone[4] if cone[4] > 0 else along
     if not t > 0:
         return -size
-    (axis, cosine, sine), best, step = about(corners), -size, t / 2
+    best, step = -size, t / 2
     for _ in range(HALVINGS):
         for to in (t, t - step, t + step):
             rest = g[0] - to * cone[0], g[1] - to * cone[1], g[2] - to * cone[2]
-            value = in_cone(rest, axis, cosine, sine, 3) + to * cone[3] - slack(size + to)
+            within = in_cone(rest, axis, cosine, sine, 3)
+            value = within + to * cone[3] - slack(size + to)
             if value > best:
                 best, t = value, to
         step = step / 2
@@ -234,45 +220,54 @@ def in_both(g, cone, corners):
 
 
 @generic
-def over_stage(sets, known, k, g, length, curve, n):
+def over_stage(stated, known, k, g, length, curve):
     """Return a lower bound on g . z + length |z| + curve |z|^2 / 2 over z_{k+1}'s stage set.
 
     It is the best of several bounds. They are not combined, because a cone with its own least
     speed ends flat, and allows lower speeds there.
 
     Args:
-        sets: data of stage sets.
-        known: restrictions of all choices: parts, spans and corners, and the ends of sectors.
+        stated: the problem.
+        known: restrictions of all choices: parts, spans and corners; and the ends of the sector of
+            each step, as :func:`rim` sets them.
         k: the step, from 0 on.
-        g: shape (n,).
+        g: shape (n,) at least.
         length: a weight.
         curve: a weight.
-        n: dimension.
     """
-    part, solid = known[0][k], len(sets.faces) > 0
+    n, part, ends, axis = stated.n, known[0][k], known[3][k], (0 * length, 0 * length, 0 * length)
+    flat, solid = n == 2 and part >= 0, n == 3 and len(stated.faces) > 0
     slowest, fastest = known[1][len(known[3]) + k]
     size, linear = size_of(g, n), length == 0 and curve == 0
-    along = in_part(sets, known, k, g, size, n)
+    along, cosine, sine = -size, axis[0], axis[0]
     best = -(size + abs(length) + abs(curve)) * (1 + fastest * fastest)
-    if sets.share > 0 and part >= 0:
-        slowest = max(slowest, min(fastest, nearest_floor(known[3][k], sets)))
-    for q in range(len(sets.cone_step)):
-        if sets.cone_step[q] == k:
-            cone = sets.cones[q]
+    if flat:
+        rim(stated, known[1][k, 0], ends[0])
+        rim(stated, known[1][k, 1], ends[1])
+        along = in_sector(g, size, ends, stated.full, stated.narrow)
+        if stated.share > 0:
+            slowest = max(slowest, min(fastest, nearest_floor(ends, stated.least, stated.share)))
+    patched = n == 3 and part >= 0 and not solid
+    if patched:
+        axis, cosine, sine = about(known[2][k])
+        along = in_cone(g, axis, cosine, sine, 3)
+    for q in range(len(stated.cone_step)):
+        if stated.cone_step[q] == k:
+            cone = stated.cones[q]
             within = in_cone(g, cone, cone[n], cone[n + 1], n)
             along = max(along, within)
-            if part >= 0 and n == 3 and not solid:
-                along = max(along, in_both(g, cone, known[2][k]))
+            if patched:
+                along = max(along, in_both(g, size, cone, axis, cosine, sine))
             if linear:
                 slow = min(fastest, max(slowest, cone[n + 2]))
                 best = max(best, over_speeds(within, curve, slow, fastest))
     best = max(best, over_speeds(along + length, curve, slowest, fastest))
     speeds = slowest, fastest
     if solid and part >= 0:
-        face = sets.faces[part]
-        best = max(best, over_face(g, along, face, sets.least, speeds, length, curve, n))
-    if sets.share > 0 and part >= 0 and (along > 0 or not linear):
-        best = max(best, over_polygon(g, along, known, k, speeds, length, curve, sets))
+        face = stated.faces[part]
+        best = max(best, over_face(g, along, face, stated.least, speeds, length, curve, n))
+    if flat and stated.share > 0 and (along > 0 or not linear):
+        best = max(best, over_polygon(stated, g, along, ends, speeds, length, curve))
     return best
 
 

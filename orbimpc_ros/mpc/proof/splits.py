@@ -67,43 +67,45 @@ def begin(stated, origins, part, span):
     Returns:
         ``HELD``; ``GONE`` without trajectories; ``WRONG`` if the origins are invalid.
     """
-    root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
-    part[:] = WHOLE
-    span[:, 0], span[:, 1] = 0 * sets.full, sets.full
+    count = len(stated.goals)
+    part[:], full_speed = WHOLE, 1 + 0 * stated.full
+    span[:, 0], span[:, 1] = 0 * stated.full, stated.full
     for k in range(count):
-        span[k, 0], span[k, 1] = root.span[0, k], root.span[1, k]
-        span[count + k, 0], span[count + k, 1] = root.span[2, k], root.span[3, k]
-        if root.span[2, k] > root.span[3, k]:
+        changed, turns = (k + 1) * stated.change, (k + 2 - stated.order) * stated.turn
+        slow = max(stated.least, stated.entry - changed) if k > 0 else stated.slow
+        fast = min(full_speed, stated.entry + changed) if k > 0 else stated.fast
+        span[count + k, 0], span[count + k, 1] = slow, fast
+        if slow > fast:
             return GONE
-        if root.turn >= 0:
-            part[k] = 0
+        if stated.turn >= 0:
+            part[k], span[k, 0], span[k, 1] = 0, stated.low - turns, stated.high + turns
     for k in range(len(origins)):
-        if root.exchanged == 0 or origins[k] != origins[0] or not abs(origins[k]) <= FARTHEST:
+        if stated.exchanged == 0 or origins[k] != origins[0] or not abs(origins[k]) <= FARTHEST:
             return WRONG
-        part[k] = ORDERED if k < root.exchanged else 0
-        span[k, 0], span[k, 1] = origins[k], origins[k] + sets.full
+        part[k] = ORDERED if k < stated.exchanged else 0
+        span[k, 0], span[k, 1] = origins[k], origins[k] + stated.full
     return HELD if _aimed(stated, part, span) else GONE
 
 
 @generic
 def _aimed(stated, part, span):
     """Cut the last heading's sector to the approach; return whether the region is not empty."""
-    root, sets, count = stated.root, stated.sets, stated.root.span.shape[1]
+    count = len(stated.goals)
     k = count - 1
-    if root.aside < 0 or k < stated.order - 1:
+    if stated.aside < 0 or k < stated.order - 1:
         return True
-    low, high = root.aim - root.aside, root.aim + root.aside
+    low, high = stated.aim - stated.aside, stated.aim + stated.aside
     if part[k] != WHOLE:
-        first = math.ceil((span[k, 0] - high) / sets.full)
-        last = math.floor((span[k, 1] - low) / sets.full)
+        first = math.ceil((span[k, 0] - high) / stated.full)
+        last = math.floor((span[k, 1] - low) / stated.full)
         if first > last:
             return False
         if first < last:
             return True
-        low = max(span[k, 0], low + first * sets.full)
-        high = min(span[k, 1], high + first * sets.full)
+        low = max(span[k, 0], low + first * stated.full)
+        high = min(span[k, 1], high + first * stated.full)
     part[k], span[k, 0], span[k, 1] = 0, low, high
-    return _carried(span, k, 0, count, -root.turn, root.turn)
+    return _carried(span, k, 0, count, -stated.turn, stated.turn)
 
 
 @generic
@@ -141,8 +143,8 @@ def _carried(span, k, begin, end, least, most):
 @generic
 def _is_split_right(stated, node, at, part, low, high):
     """Return whether a node's split is valid, given the restrictions of the choice there."""
-    kind, c, parts, n, sets = node[KIND], node[CHOICE], node[CHILDREN], stated.n, stated.sets
-    extents, count = stated.bodies.extents, stated.root.span.shape[1]
+    kind, c, parts, n = node[KIND], node[CHOICE], node[CHILDREN], stated.n
+    extents, count = stated.bodies.extents, len(stated.goals)
     body, within, whole = c // count - 2, parts == 2 and low <= at <= high, part == WHOLE
     if not stated.order - 1 <= c < (2 + len(extents)) * count:
         return False
@@ -150,23 +152,23 @@ def _is_split_right(stated, node, at, part, low, high):
         return kind == SPEED and within
     if body >= 0 and extents[body, 2 * n] == 0:  # a box
         return kind == SIDES and whole and parts == 2 * n
-    if body == -2 and len(sets.faces) > 0:
-        return kind == FACES and whole and parts == len(sets.faces)
+    if body == -2 and n == 3 and len(stated.faces) > 0:
+        return kind == FACES and whole and parts == len(stated.faces)
     if n == 2:
         arcs = kind == ARCS and parts >= 2 and abs(at) <= FARTHEST
         return arcs if whole else kind == CUT and within
     if not whole:
         return kind == QUARTERS and parts == 4
-    capped = body == -2 and parts == len(stated.root.patches) - ICOSAHEDRON and _is_capped(sets, c)
+    capped = body == -2 and parts == len(stated.patches) - ICOSAHEDRON and _is_capped(stated, c)
     return kind == PATCHES and (parts == ICOSAHEDRON or capped)
 
 
 @generic
-def _is_capped(sets, k):
+def _is_capped(stated, k):
     """Return whether the directions of a step are in the cap."""
     capped = False
-    for q in range(len(sets.cone_step)):
-        capped = capped or (sets.cone_step[q] == k and sets.cones[q, -1] == 1)
+    for q in range(len(stated.cone_step)):
+        capped = capped or (stated.cone_step[q] == k and stated.cones[q, -1] == 1)
     return capped
 
 
@@ -215,16 +217,16 @@ def narrowed(stated, node, at, i, part, span, corners):
         span: shape (C, 2), set in place.
         corners: shape (C, 3, 3), set in place.
     """
-    kind, c, root, count = node[KIND], node[CHOICE], stated.root, stated.root.span.shape[1]
+    kind, c, count = node[KIND], node[CHOICE], len(stated.goals)
     if kind in (SIDES, FACES):
         part[c] = i
         return HELD
     part[c] = max(part[c], 0)
     if kind in (PATCHES, QUARTERS):
-        _set_patch(root.patches, node, i, corners[c])
+        _set_patch(stated.patches, node, i, corners[c])
         return HELD
     if kind == ARCS:
-        share = stated.sets.full / node[CHILDREN]
+        share = stated.full / node[CHILDREN]
         span[c, 0], span[c, 1] = at + i * share, at + (i + 1) * share
         return HELD
     span[c, 1 - i] = at
@@ -234,13 +236,13 @@ def narrowed(stated, node, at, i, part, span, corners):
 @generic
 def _followed(stated, c, part, span):
     """Propagate a cut of a heading or a speed; return whether the region is not empty."""
-    root, count = stated.root, stated.root.span.shape[1]
+    count = len(stated.goals)
     if c >= count:
-        return _carried(span, c, count, 2 * count, -root.change, root.change)
+        return _carried(span, c, count, 2 * count, -stated.change, stated.change)
     if part[c] == ORDERED:
-        full = stated.sets.full  # all begin at the same direction
-        return _carried(span, c, 0, root.exchanged, 0 * full, 2 * full)
-    held = _carried(span, c, 0, count, -root.turn, root.turn)
+        full = stated.full  # all begin at the same direction
+        return _carried(span, c, 0, stated.exchanged, 0 * full, 2 * full)
+    held = _carried(span, c, 0, count, -stated.turn, stated.turn)
     return held and (part[count - 1] != 0 or _aimed(stated, part, span))
 
 

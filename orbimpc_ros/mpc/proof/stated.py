@@ -109,91 +109,6 @@ class Limits(NamedTuple):
 NO_LIMITS = Limits()
 
 
-class Costs(NamedTuple):
-    """Weights of squares, and of lengths.
-
-    Attributes:
-        weights: of |s_k - g_k|^2 (the first is unused), and of |z_k|, shape (2, N + 1).
-        braked: of |p_N|^2.
-        turned: of squared differences of coordinates of rotations.
-        aimed: of the squared coordinates of R_N - R_g.
-    """
-
-    weights: Rows
-    braked: Number
-    turned: Number
-    aimed: Number
-
-
-class Root(NamedTuple):
-    """The restrictions of single steps before any split.
-
-    Attributes:
-        span: least and greatest direction [rad] of each step in the plane, which differ by a turn
-            or more if all are allowed, and least and greatest speed, shape (4, N).
-        turn: largest change of direction in a step [rad]; negative without a limit.
-        change: largest change of speed in a step; 2 without a limit.
-        aim: direction of the approach in the plane [rad].
-        aside: largest angle from it [rad]; negative without a limit.
-        patches: triangles that cover all directions in space, and then those that cover the
-            tilt's cap, shape (F, 3, 3).
-        exchanged: number of the first steps that are exchangeable: the cost depends only on the sum
-            of their headings and on their lengths, and the floor is their only limit.
-    """
-
-    span: Rows
-    turn: Number
-    change: Number
-    aim: Number
-    aside: Number
-    patches: Rows
-    exchanged: int
-
-
-class Sets(NamedTuple):
-    """The data of stage sets.
-
-    Attributes:
-        least: the floor's share of full speed; for a polygon or solid, the distance of its faces.
-        share: angle between the normals of a polygon in the plane [rad]; 0 without.
-        faces: normals of the faces of a solid in space, shape (F, n).
-        cone_step: heading 0..N-1 of each cone, shape (Q,).
-        cones: their axes, unit vectors; cosine and sine of their angles, their least speeds, and 1
-            if the patches of the tilt's cap cover them, shape (Q, n + 4).
-        full: a turn, rounded up [rad].
-        narrow: a negligible angle [rad].
-    """
-
-    least: Number
-    share: Number
-    faces: Rows
-    cone_step: np.ndarray
-    cones: Rows
-    full: Number
-    narrow: Number
-
-
-class Ends(NamedTuple):
-    """The constraints between steps, except for bodies.
-
-    Attributes:
-        goals: g_1..g_N relative to s_0, and in the last column the relaxation of the glide slope,
-            shape (N, n + 1).
-        arrives: number of vectors that vanish at the end: s_N - g_N, and p_N.
-        chord: largest chord of R e1 in a step; negative without a limit.
-        begun: first step, of 0..N-1, to which the chord applies.
-        sine: of the glide slope; 0 without.
-        cosine: of the glide slope.
-    """
-
-    goals: Rows
-    arrives: int
-    chord: Number
-    begun: int
-    sine: Number
-    cosine: Number
-
-
 class Bodies(NamedTuple):
     """The boxes and balls that plans must stay outside of.
 
@@ -215,20 +130,82 @@ class Bodies(NamedTuple):
 
 
 class Stated(NamedTuple):
-    """A problem: dimension n, d coordinates of a rotation in the cost, rotation order, data.
+    """A problem from a state; at rotation order 2 the start gives R_1 up to a factor.
 
-    At rotation order 2 the start gives R_1 up to a factor, which the first range of speeds limits.
+    Attributes:
+        n: dimension.
+        width: d, number of coordinates of a rotation in the cost.
+        order: of rotation.
+        full: a turn, rounded up [rad].
+        narrow: a negligible angle [rad].
+        motion: of a step.
+        start: its rows, shape (6, d).
+        goals: g_1..g_N relative to s_0, and in the last column the relaxation of the glide slope,
+            shape (N, n + 1).
+        weights: of |s_k - g_k|^2 (the first is unused), and of |z_k|, shape (2, N + 1).
+        braked: weight of |p_N|^2.
+        turned: weight of squared differences of coordinates of rotations.
+        aimed: weight of the squared coordinates of R_N - R_g.
+        exchanged: number of the first steps that are exchangeable: the cost depends only on the sum
+            of their headings and on their lengths, and the floor is their only limit.
+        low: least direction in the plane from which turns are limited [rad].
+        high: the greatest one, which differs by a margin for rounding.
+        turn: largest change of direction in a step [rad]; negative without a limit.
+        entry: initial speed.
+        change: largest change of speed in a step; 2 without a limit.
+        slow: least speed of the first step.
+        fast: greatest speed of the first step.
+        aim: direction of the approach in the plane [rad].
+        aside: largest angle from it [rad]; negative without a limit.
+        least: the floor's share of full speed; for a polygon or solid, the distance of its faces.
+        share: angle between the normals of a polygon in the plane [rad]; 0 without.
+        faces: normals of the faces of a polygon or solid, shape (F, n).
+        patches: triangles that cover all directions in space, and then those that cover the
+            tilt's cap, shape (F, 3, 3).
+        cone_step: heading 0..N-1 of each cone, shape (Q,).
+        cones: their axes, unit vectors; cosine and sine of their angles, their least speeds, and 1
+            if the patches of the tilt's cap cover them, shape (Q, n + 4).
+        arrives: number of vectors that vanish at the end: s_N - g_N, and p_N.
+        chord: largest chord of R e1 in a step; negative without a limit.
+        begun: first step, of 0..N-1, to which the chord applies.
+        sine: of the glide slope; 0 without.
+        cosine: of the glide slope.
+        bodies: that plans must stay outside of.
     """
 
     n: int
     width: int
     order: int
+    full: Number
+    narrow: Number
     motion: StepMap
-    costs: Costs
     start: Rows
-    root: Root
-    sets: Sets
-    ends: Ends
+    goals: Rows
+    weights: Rows
+    braked: Number
+    turned: Number
+    aimed: Number
+    exchanged: int
+    low: Number
+    high: Number
+    turn: Number
+    entry: Number
+    change: Number
+    slow: Number
+    fast: Number
+    aim: Number
+    aside: Number
+    least: Number
+    share: Number
+    faces: Rows
+    patches: Rows
+    cone_step: np.ndarray
+    cones: Rows
+    arrives: int
+    chord: Number
+    begun: int
+    sine: Number
+    cosine: Number
     bodies: Bodies
 
 
@@ -253,10 +230,8 @@ class Statement:
 
     def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
         self.problem, self._number = problem, number
-        self.width = width_of(problem)
-        self._motion = self._moved()
-        self._costs = self._weighed()
-        self._roots = dict[int, Root]()
+        self.width, self._motion = width_of(problem), self._moved()
+        self._known = self._stated()
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
@@ -277,7 +252,44 @@ class Statement:
         known = drift, keep, *on_s, *(on_p[0] if on_p else (0, z, 1))
         return StepMap._make([*map(number, known), h / model.degree, model.degree])
 
-    def _weighed(self) -> Costs:
+    def _stated(self) -> Stated:
+        """Return the numbers for any state: without limits on turns and speeds, at the origin."""
+        problem, number, n = self.problem, self._number, self.problem.dimension
+        floor, count = problem.floor, problem.horizon
+        faces = floor.faces if floor.shape == 'polygon' else 0
+        share = TURN[number] / faces if faces and n == 2 else number(0)
+        outward = self._rows(normals(3, faces) if faces and n == 3 else np.zeros((0, n)))
+        if share:
+            outward = np.array([direction(i * share) for i in range(faces)])
+        still = self._rows(np.zeros((6, self.width)))
+        return Stated(
+            n=n,
+            width=self.width,
+            order=problem.rotation_order,
+            full=TURN[number],
+            narrow=number(NARROW),
+            motion=self._motion,
+            start=still,
+            goals=self._rows(np.zeros((count, n + 1))),
+            **self._weighed(),
+            exchanged=0,
+            **dict.fromkeys(('low', 'high', 'entry', 'slow', 'aim', 'sine', 'cosine'), number(0)),
+            change=number(2),
+            fast=number(1),
+            **dict.fromkeys(('turn', 'aside'), number(-1)),
+            least=number(problem.least_speed if floor.shape in SPEEDS else 0),
+            share=share,
+            faces=outward,
+            patches=self._rows(_patches(n, problem.tilt)),
+            cone_step=np.zeros(0, np.int64),
+            cones=self._rows(np.zeros((0, n + 4))),
+            arrives=(1 + problem.inertial) * (problem.terminal == 'constraint'),
+            chord=number(problem.chord) + number(ROUNDING) if problem.max_rate else number(-1),
+            begun=int(problem.first_turn_is_decided),
+            bodies=self._beside(still[0, :n], self.boxes, still),
+        )
+
+    def _weighed(self) -> dict[str, Any]:
         problem, number, w = self.problem, self._number, self.problem.weights
         q, r, m, a = map(number, (w.position, w.input, w.terminal, w.attitude))
         h, z, more = number(problem.step), number(problem.forward), number(problem.arrival_weight)
@@ -291,7 +303,7 @@ class Statement:
         weights[1] = number(w.length) * h * z
         weights[1, 0], weights[1, -1] = (1 - late) * weights[1, 0], late * weights[1, -1]
         turned = double * r / h ** (2 * problem.rotation_order)
-        return Costs(weights, braked, turned, double * a)
+        return {'weights': weights, 'braked': braked, 'turned': turned, 'aimed': double * a}
 
     def limits(self, state: State, goals: Array) -> Limits:
         """Return the limits of the problem from a state to goals, shape (N, n) [m]."""
@@ -318,28 +330,30 @@ class Statement:
         bodies = self.boxes + _moving(problem, state)
         return Limits(tuple(cones), slope, eased, bodies, entry, change)
 
-    def of(self, state: State, goals: Array, limits: Limits) -> Stated:
+    def of(self, state: State, aims: Array, limits: Limits) -> Stated:
         """Return the problem from a state.
 
         Args:
             state: where trajectories start, without its hazards, which are among the limits.
-            goals: g_1..g_N, shape (N, n) [m].
+            aims: g_1..g_N, shape (N, n) [m].
             limits: in addition to the problem's own.
         """
-        problem = self.problem
+        known, start, origin = self._known, self._begun(state), self._numbers(state.position)
         cones = self._cones(state, limits)
-        root = self._rooted(state, limits, cones)
-        sets = self._set(cones) if cones else self._without_cones
-        start, origin = self._begun(state), self._numbers(state.position)
-        ends = self._ended(self._numbers(goals) - origin, limits)
-        if limits.bodies is self.boxes:
-            bodies = self._at_rest
-            if self.boxes:
-                bodies = bodies._replace(places=bodies.places - origin)
-        else:
-            bodies = self._beside(origin, limits.bodies, start)
-        kinds = problem.dimension, self.width, problem.rotation_order
-        return Stated(*kinds, self._motion, self._costs, start, root, sets, ends, bodies)
+        made = {**self._turned(state), **self._paced(state, limits), **self._coned(cones)}
+        made['goals'] = goals = known.goals.copy()
+        goals[:, :-1] = self._numbers(aims) - origin
+        if limits.glide_slope:
+            goals[:, -1] = self._rows(limits.eased)
+            made['cosine'], made['sine'] = direction(self._number(limits.glide_slope))
+        if limits.bodies is not self.boxes:
+            made['bodies'] = self._beside(origin, limits.bodies, start)
+        elif self.boxes:
+            made['bodies'] = known.bodies._replace(places=known.bodies.places - origin)
+        alone = not (limits.cones or limits.bodies or limits.glide_slope or limits.change < 2.0)
+        if alone and self._alike:
+            made['exchanged'] = self.problem.horizon - 1
+        return known._replace(start=start, **made)
 
     # --- the start of trajectories
 
@@ -364,70 +378,20 @@ class Statement:
 
     # --- the limits of single steps
 
-    def _rooted(self, state: State, limits: Limits, cones: Sequence[Cone]) -> Root:
-        problem, number, count = self.problem, self._number, self.problem.horizon
-        plain = not (cones or limits.change < 2.0 or problem.max_rate or state.coasted is not None)
-        exchanged = self._exchanged(limits)
-        if plain and exchanged in self._roots:
-            return self._roots[exchanged]
-        change = number(min(2.0, limits.change))
-        turn, low, high = self._turned(state)
-        span = self._rows(np.zeros((4, count)))
-        span[0], span[1] = low, high
-        self._set_speeds(span[2:], limits)
-        if problem.rotation_order == 2 and state.coasted is None:
-            span[2:, 0] = number(1)  # R_1 is given
-        if problem.floor.shape == 'polygon' and state.coasted is not None:
-            n, axis = problem.dimension, self._rows(state.coasted[:, 0])
-            along = max(self._rows(normals(n, problem.floor.faces)) @ axis)
-            if problem.rotation_order == 2 and 0 < along < 1:  # on this axis the faces are farther
-                span[2, 0] = max(span[2, 0], number(self._least) / along * number(INWARD))
-        aim, aside = number(0), number(-1)
-        aimed = [each for each in cones if count in each.steps]  # a file may state several
-        if problem.dimension == 2 and aimed:
-            x, y = aimed[-1].axis
-            aim, aside = number(math.atan2(y, x)), number(aimed[-1].angle) + number(WIDER)
-        root = Root(span, turn, change, aim, aside, self._patches, exchanged)
-        if plain:
-            self._roots[exchanged] = root
-        return root
-
-    def _set_speeds(self, span: Rows, limits: Limits) -> None:
-        """Set the least and the greatest speed of each step, shape (2, N)."""
-        number, steps = self._number, np.arange(1, self.problem.horizon + 1)
-        span[0], span[1] = number(self._least), number(1)
-        if limits.change < 2.0:
-            entry, change = number(limits.entry), number(limits.change)
-            span[0] = np.maximum(span[0], entry - steps * change)
-            span[1] = np.minimum(span[1], entry + steps * change)
-
-    @cached_property
-    def _least(self) -> float:
-        return self.problem.least_speed if self.problem.floor.shape in SPEEDS else 0.0
-
-    @cached_property
-    def _patches(self) -> Rows:
-        """Return the triangles that cover all directions, and those of the tilt's cap."""
-        if self.problem.dimension == 2:
-            return self._rows(np.zeros((0, 3, 3)))
-        tilt = self.problem.tilt
-        capped = 0.0 < tilt <= STEEPEST_CAP
-        return self._rows(np.concatenate([icosahedron(), *[cap(tilt)] * capped]))
-
-    @cached_property
-    def _without_cones(self) -> Sets:
-        return self._set(())
-
-    def _set(self, cones: Sequence[Cone]) -> Sets:
-        problem, number, n = self.problem, self._number, self.problem.dimension
-        floor = problem.floor
-        faces = floor.faces if floor.shape == 'polygon' and floor.exists else 0
-        solid = normals(3, faces) if faces and n == 3 else np.zeros((0, n))
-        step = np.array([k - 1 for each in cones for k in each.steps], np.int64)
-        rows = self._coned([each for each in cones for _ in each.steps])
-        share = TURN[number] / faces if faces and n == 2 else number(0)
-        known = number(self._least), share, self._rows(solid), step, rows
-        return Sets(*known, TURN[number], number(NARROW))
+    def _paced(self, state: State, limits: Limits) -> dict[str, Any]:
+        """Return the limits on speeds."""
+        problem, number, known = self.problem, self._number, state.coasted
+        least, full, late = self._known.least, self._known.fast, problem.rotation_order == 2
+        entry, change = number(limits.entry), number(min(2.0, limits.change))
+        slow, fast = max(least, entry - change), min(full, entry + change)
+        if late and known is None:
+            slow = fast = full  # R_1 is given
+        if late and known is not None and problem.floor.shape == 'polygon':
+            outward = self._rows(normals(problem.dimension, problem.floor.faces))
+            along = max(outward @ self._rows(known[:, 0]))
+            if 0 < along < 1:  # on this axis the faces are farther
+                slow = max(slow, least / along * number(INWARD))
+        return {'entry': entry, 'change': change, 'slow': slow, 'fast': fast}
 
     def _cones(self, state: State, limits: Limits) -> list[Cone]:
         """Return cones, including those that headings can only leave by turns of several steps."""
@@ -438,65 +402,50 @@ class Statement:
         steps = range(1, 1 + min(problem.horizon, math.ceil(math.pi / turn) - 1))
         return cones + [Cone(axis, k * turn + WIDER, 0.0, (k,)) for k in steps]
 
-    def _coned(self, cones: Sequence[Cone]) -> Rows:
-        n, tilt = self.problem.dimension, self.problem.tilt
-        rows = self._rows(np.zeros((len(cones), n + 4)))
-        for row, each in zip(rows, cones, strict=True):
-            axis = self._rows(each.axis)
-            row[:n] = axis / root((axis * axis).sum())
-            row[n : n + 2] = direction(self._number(each.angle))
-            row[n + 2] = self._number(each.least)
-            capped = 0.0 < tilt <= STEEPEST_CAP and each.axis == UP and each.angle == tilt
-            row[n + 3] = self._number(1 if capped else 0)
-        return rows
+    def _coned(self, cones: Sequence[Cone]) -> dict[str, Any]:
+        """Return the cones of each step, and the last one in the plane, which a sector meets."""
+        if not cones:
+            return {}
+        number, tilt, made = self._number, self.problem.tilt, dict[str, Any]()
+        axes = self._rows([each.axis for each in cones])
+        units = axes / roots((axes * axes).sum(axis=1))[:, None]
+        angles = np.array([direction(number(each.angle)) for each in cones])
+        capped = 0.0 < tilt <= STEEPEST_CAP
+        least = [(each.least, capped and each.axis == UP and each.angle == tilt) for each in cones]
+        rows = np.concatenate([units, angles, self._rows(least)], axis=1)
+        made['cones'] = np.repeat(rows, [len(each.steps) for each in cones], axis=0)
+        made['cone_step'] = np.array([k - 1 for each in cones for k in each.steps], np.int64)
+        for each in cones:  # of several in a file the last one counts
+            if self.problem.dimension == 2 and self.problem.horizon in each.steps:
+                made['aim'] = number(math.atan2(*each.axis[::-1]))
+                made['aside'] = number(each.angle) + number(WIDER)
+        return made
 
-    def _turned(self, state: State) -> tuple[Number, Rows, Rows]:
-        """Return the largest change of direction, and the least and greatest one of each step."""
+    def _turned(self, state: State) -> dict[str, Any]:
+        """Return the limits on turns in the plane."""
         problem, number = self.problem, self._number
-        count, turn = problem.horizon, number(problem.step) * number(problem.max_rate)
-        whole = self._rows(np.zeros(count))
+        turn, late = number(problem.step) * number(problem.max_rate), problem.rotation_order == 2
         limited = problem.dimension == 2 and problem.turns_are_angles and turn < UNTURNED
-        if not limited or (problem.rotation_order == 2 and state.coasted is None):
-            return number(-1), whole, whole + number(7)
-        late = problem.rotation_order - 1
-        ahead = state.attitude if state.coasted is None or not late else state.coasted
-        heading = number(math.atan2(ahead[1, 0], ahead[0, 0]))
+        if not limited or (late and state.coasted is None):
+            return {}
+        ahead = state.coasted if late and state.coasted is not None else state.attitude
+        heading, wider = number(math.atan2(ahead[1, 0], ahead[0, 0])), number(WIDER)
         if number is not float:  # floats trust the arc tangent as much as cosine and sine
             cosine, sine = direction(heading)
             x, y = self._rows(ahead[:, 0])
             if not abs(cosine * y - sine * x) < WIDER / 4 or not cosine * x + sine * y > 0:
                 raise BadInput('state.attitude', ahead.tolist(), 'a rotation')
-        turns = (np.arange(1, count + 1) - late) * (turn + whole) + number(WIDER)
-        low, high = heading - turns, heading + turns
-        return turn, low, high
-
-    def _exchanged(self, limits: Limits) -> int:
-        """Return the number of first steps that are exchangeable under limits."""
-        alone = not (limits.cones or limits.bodies or limits.glide_slope or limits.change < 2.0)
-        return self.problem.horizon - 1 if alone and self._alike else 0
+        return {'low': heading - wider, 'high': heading + wider, 'turn': turn}
 
     @cached_property
     def _alike(self) -> bool:
+        """Return whether the first steps are exchangeable without any limits from a state."""
         problem, weights = self.problem, self.problem.weights
         costly = weights.position or weights.input or problem.inertial
         freely = problem.rotation_order == 1 and not problem.max_rate
         return problem.dimension == 2 and freely and not costly
 
     # --- the constraints between steps
-
-    def _ended(self, goals: Rows, limits: Limits) -> Ends:
-        problem, number, n = self.problem, self._number, self.problem.dimension
-        known = self._numbers(np.zeros((problem.horizon, n + 1)))
-        known[:, :n], slope = goals, (number(0), number(0))
-        if limits.glide_slope:
-            known[:, n] = self._rows(limits.eased)
-            slope = direction(number(limits.glide_slope))[::-1]
-        chord = number(-1)
-        if problem.max_rate:
-            chord = number(problem.chord) + number(ROUNDING)
-        arrives = (1 + problem.inertial) * (problem.terminal == 'constraint')
-        begun = int(problem.first_turn_is_decided)
-        return Ends(known, arrives, chord, begun, *slope)
 
     @cached_property
     def boxes(self) -> tuple[Body, ...]:
@@ -505,12 +454,6 @@ class Statement:
         still, kept = np.zeros((count + 1, n)), np.zeros(count)
         of = ENDS if problem.no_corner_cutting else END
         return tuple(Body(each, of, still, kept) for each in problem.boxes)
-
-    @cached_property
-    def _at_rest(self) -> Bodies:
-        """Return the boxes, relative to the origin."""
-        start = self._rows(np.zeros((6, self.width)))
-        return self._beside(start[0, : self.problem.dimension], self.boxes, start)
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
         n, count, degree = self.problem.dimension, self.problem.horizon, self._motion.degree
@@ -591,3 +534,11 @@ def _moving(problem: Problem, state: State) -> tuple[Body, ...]:
     for body, shifts, grown in zip(traffic.bodies, traffic.shifts, traffic.grown, strict=True):
         found += [Body(body, of, shifts, grown) for of in (END, STEP)]
     return tuple(found)
+
+
+def _patches(n: int, tilt: float) -> Array:
+    """Return triangles that cover all directions in space, and those of a tilt's cap."""
+    if n == 2:
+        return np.zeros((0, 3, 3))
+    capped = 0.0 < tilt <= STEEPEST_CAP
+    return np.concatenate([icosahedron(), *[cap(tilt)] * capped])

@@ -81,7 +81,7 @@ class Verifier:
         if limits is None:
             limits = self._statement.limits(state, goals)
         stated = self._statement.of(state, goals, limits)
-        if not _fits(tree, problem.horizon, stated.n, stated.width, stated.ends.arrives):
+        if not _fits(tree, problem.horizon, stated.n, stated.width, stated.arrives):
             return -math.inf
         walk = np.empty((3, len(tree.nodes)), np.int64)
         choices = (2 + len(stated.bodies.at)) * problem.horizon

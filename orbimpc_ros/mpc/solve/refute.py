@@ -65,13 +65,14 @@ def _leaf(posed: Posed) -> ProofTree:
     stated = Statement(posed.problem).of(posed.state, posed.goals, posed.limits)
     count, n, start = posed.problem.horizon, stated.n, stated.start[:, : stated.n]
     point = np.zeros((count, stated.width))
-    off = flown_by(stated.motion, start, point[:, :n])[0, -1] - stated.ends.goals[-1, :n]
+    off = flown_by(stated.motion, start, point[:, :n])[0, -1] - stated.goals[-1, :n]
     away = off / max(float(np.linalg.norm(off)), 1e-300)
     reach = flown_by(stated.motion, np.zeros((6, count)), np.eye(count))[0, -1]
-    point[:, :n] = -np.outer(np.sign(reach) * stated.root.span[3], away)
+    fastest = np.minimum(1.0, posed.limits.entry + posed.limits.change * np.arange(1, count + 1))
+    point[:, :n] = -np.outer(np.sign(reach) * fastest, away)
     if posed.problem.weights.terminal:
         return one(point, np.zeros(count))
-    pull = np.zeros((stated.ends.arrives, n))
+    pull = np.zeros((stated.arrives, n))
     pull[:1] = away
     leaf = one(0.0 * point, np.zeros(count), pull=pull)
     return leaf._replace(nodes=np.array([[EMPTY, 0, 0, 0, 0]]))

@@ -115,7 +115,7 @@ class Regions:
         limits = self._statement.limits(state, request.goals)
         stated = self._stated = self._statement.of(state, request.goals, limits)
         self.first, self.bodies = stated.order - 1, len(stated.bodies.at)
-        ordered = self._faces and stated.root.exchanged
+        ordered = self._faces and stated.exchanged
         self.origins = np.full(count, self._first_arc) if ordered else NOWHERE
         self.floors = list(range(self.first, count)) if problem.floor.exists else []
         known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
@@ -224,29 +224,29 @@ class Regions:
 
     def side(self, choice: int, known: Region) -> Side:
         """Return the half-space of a choice that a region restricts."""
-        sets, n = self._stated.sets, self.problem.dimension
+        n = self.problem.dimension
         if choice >= self.problem.horizon:
             normal: Array = np.zeros(n)
-            out, off, size = side_of(sets, self._stated.bodies, choice, *known, normal)
+            out, off, size = side_of(self._stated, choice, *known, normal)
             return normal, out - off if size >= 0.0 else -np.inf
         if self._solid is not None:
             return self._solid[known.part[choice]], self.problem.floor.fraction
         if n == 2:
             return self._chord(*known.span[choice].tolist())
         axis, least = _patch(known.corners[choice].tobytes())
-        return axis, sets.least * least
+        return axis, self._stated.least * least
 
     def _chord(self, low: float, high: float) -> Side:
         """Return the half-space that holds for headings in a sector."""
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        normal, slowest = np.array([math.cos(middle), math.sin(middle)]), self._stated.sets.least
+        normal, slowest = np.array([math.cos(middle), math.sin(middle)]), self._stated.least
         if half >= math.pi:
             return normal, -np.inf
         if half > 0.5 * math.pi:
             return normal, math.cos(half)
         if not self._faces:
             return normal, slowest * math.cos(half)
-        share, slack = 2.0 * math.pi / self._faces, self._stated.sets.narrow
+        share, slack = 2.0 * math.pi / self._faces, self._stated.narrow
         first, last = math.ceil(low / share - 0.5 + slack), math.floor(high / share - 0.5 - slack)
         angles = np.array([low, *(share * (i + 0.5) for i in range(first, last + 1)), high])
         if len(angles) == 2:  # within a single face
@@ -369,7 +369,7 @@ class Regions:
 
     def _parted(self, choice: int) -> Cut:
         """Return the split of a choice that nothing restricts."""
-        n, heading, sets = self.problem.dimension, choice < self.problem.horizon, self._stated.sets
+        n, heading, known = self.problem.dimension, choice < self.problem.horizon, self._stated
         if heading and self._solid is not None:
             return Cut(FACES, choice, len(self._solid))
         if self._is_flat(choice):
@@ -377,8 +377,8 @@ class Regions:
         if n == 2:
             faces = self._faces if heading else 0
             return Cut(ARCS, choice, faces or AROUND, self._first_arc if faces else 0.0)
-        upright = heading and (sets.cones[sets.cone_step == choice, -1] == 1.0).any()
-        parts = len(self._stated.root.patches) - ICOSAHEDRON if upright else ICOSAHEDRON
+        upright = heading and (known.cones[known.cone_step == choice, -1] == 1.0).any()
+        parts = len(known.patches) - ICOSAHEDRON if upright else ICOSAHEDRON
         return Cut(PATCHES, choice, parts)
 
     def _refined(self, choice: int, known: Region) -> Cut | None:
@@ -389,7 +389,7 @@ class Regions:
         low, high = known.span[choice].tolist()
         at, apart = 0.5 * (low + high), FINEST
         if choice < self.problem.horizon and self._faces:
-            share, apart = 2.0 * math.pi / self._faces, self._stated.sets.narrow
+            share, apart = 2.0 * math.pi / self._faces, self._stated.narrow
             at = share * (math.floor(at / share) + 0.5)  # the nearest corner
         return Cut(CUT, choice, 2, at) if low + apart < at < high - apart else None
 
