@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-import time
+from collections.abc import Generator
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.process import FAILED, LIFE, Managed, qos, run
+from orbimpc_ros.sim.outputs import Seen
 from orbimpc_ros.sim.parameters import SIM, Faults, SimSettings, sim_settings
 from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
 
@@ -28,6 +29,8 @@ APART = 0.01  # [s] lock-step with faults: between goals and odometry, for DDS t
 RESEND = 0.5  # [s] lock-step: resend without an answer; first messages may be lost
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
 SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
+Answer = Generator[None, Order | None, Order | None]
+Course = Generator[None, Order | None, None]
 NO_ANSWER = (
     'an answer to the odometry on cmd_vel: it needs a planner with trigger: odom (with timer, '
     'planner and simulator wait for each other); see its /diagnostics'
@@ -47,106 +50,92 @@ class LockStep(FlightSimulation):
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         super().__init__(node, settings)
         self._patience = settings.wait_timeout or math.inf  # [s]
+        self._apart = APART if settings.faults != Faults() else 0.0
         self._shared = math.inf  # time of the shared clock; infinite without one [ns]
+        self._due = True  # whether the rate allows the next step
         if settings.clock == 'shared':
             self._shared = -math.inf
             node.create_subscription(Clock, '/clock', node.at_work(self._on_clock), qos(DEPTH))
-        node.every(LOOK, self.look)
+        node.every(LOOK, self.on_order)
         if settings.rate > 0.0:
-            node.every(settings.model.step / settings.rate, self._ask)
+            node.every(settings.model.step / settings.rate, self._on_rate)
 
     def start(self) -> None:
         """Start as soon as planner and readers are present."""
-        self._met = False  # whether planner and readers have been present
-        self._asking = False  # whether a step waits for a command
-        self._awaited: int | None = None  # stamp of the odometry to be answered [ns]
-        self._newest = -np.inf  # true time of the newest odometry sent [s]
-        self._goal_sent = False
-        self._heard = -np.inf  # simulated arrival time of the last command [s]
-        self._wait()
+        self._course = self._flown()
+        self.on_order()
 
     @property
     def now(self) -> int:
         """Return the simulated time [ns], including jumps by faults."""
         return round((self.begun + self.flight.vehicle.time + self.jump) * SECOND)
 
-    def look(self) -> None:
-        """Start once planner and readers are present; without an answer, resend or give up."""
-        if self.finished:
-            return
-        if not self._met:
-            absent = self.awaited(planner=True)
+    def on_order(self, order: Order | None = None) -> None:
+        """Continue the flight with a command, or because time has passed."""
+        if not self.finished:
+            self._course.send(order)
+
+    def _on_clock(self, message: Clock) -> None:
+        self._shared = message.clock.sec * SECOND + message.clock.nanosec
+        self.on_order()
+
+    def _on_rate(self) -> None:
+        self._due = True
+        self.on_order()
+
+    def _flown(self) -> Course:
+        """Fly to the end, waiting at each ``yield`` for a command or for time to pass."""
+        self.wait()
+        while absent := self.awaited(planner=True):
             self._give_up(absent, self.counted_from, self._patience)
-            self._met = not absent
-            self._ask_when_due()
-        elif self._asking:
-            waited = self.node.steady_now() - self._asked_at
-            if self._awaited is None:
-                if waited > SETTLED:
-                    self._fly_on()
-                return
-            # Vehicles with a shared clock wait for each other, too.
-            longest = math.inf if self.settings.clock == 'shared' else PATIENCE
+            yield
+        half = 0.5 * self.settings.model.step * SECOND  # far above rounding errors
+        newest, goal_sent = -np.inf, False  # true time of the newest odometry sent [s]
+        heard = -np.inf  # simulated arrival time of the last command [s]
+        while not self.finished:
+            while not self._due or self.now > self._shared + half:
+                yield
+            self._due = not self.settings.rate
+            sent, answered = self.view.of(self.flight), None
+            told = [each for each in sent if np.isfinite(each.position).all()]
+            goal_sent |= not all(isinstance(each, Odometry) for each in told)
+            for seen in told:  # the planner will answer the newest odometry
+                if isinstance(seen, Odometry) and seen.time > newest:
+                    newest = seen.time
+                    answered = self.stamp_of(seen, self.now) if goal_sent else None
+            order = yield from self._answer(sent, answered)
+            if order is not None and not self.view.command_lost(self.flight.ticks):
+                self.order, heard = order, self.flight.vehicle.time
+            if self.flight.over:
+                self.finish()
+            else:
+                self.fly(heard + self.settings.command_timeout - self.flight.vehicle.time)
+        yield
+
+    def _answer(self, sent: list[Seen], answered: int | None) -> Answer:
+        """Publish the flight until odometry of a stamp [ns], if any, is answered; return that."""
+        begun = self.node.steady_now()
+        # Vehicles with a shared clock wait for each other, too.
+        longest = math.inf if self.settings.clock == 'shared' else PATIENCE
+        while True:
+            asked, waited = self.node.steady_now(), 0.0
+            self.show(sent, self._apart)
+            while waited <= (SETTLED if answered is None else RESEND):
+                order = yield
+                if order is not None and order.stamp == answered:
+                    return order
+                waited = self.node.steady_now() - asked
+            if answered is None:
+                return None
             absent = self.planner_lacking or NO_ANSWER
-            self._give_up(absent, self._progress, min(longest, self._patience))
-            if waited > RESEND:
-                self._send()
+            self._give_up(absent, begun, min(longest, self._patience))
 
     def _give_up(self, awaited: str, since: float, patience: float) -> None:
         """End this process if something has been awaited for too long [s]."""
         waited = self.node.steady_now() - since
-        if awaited and waited > patience:
+        if waited > patience:
             self.node.get_logger().fatal(f'waited {waited:.0f} s in vain for {awaited}: giving up')
             self.node.exit_code = FAILED
-
-    def _on_clock(self, message: Clock) -> None:
-        self._shared = message.clock.sec * SECOND + message.clock.nanosec
-        self._ask_when_due()
-
-    def _ask_when_due(self) -> None:
-        """Request a command, unless the shared clock has not reached the next step."""
-        half = 0.5 * self.settings.model.step * SECOND  # far above rounding errors
-        if self.now <= self._shared + half:
-            self._ask()
-
-    def _ask(self) -> None:
-        """Request the command of the next step, unless one is already awaited."""
-        if not self._met or self._asking or self.finished:
-            return
-        self._asking, self._awaited = True, None
-        self._progress = self.node.steady_now()
-        self._sent = self.view.of(self.flight)
-        told = [each for each in self._sent if np.isfinite(each.position).all()]
-        self._goal_sent |= not all(isinstance(each, Odometry) for each in told)
-        for seen in told:  # the planner will answer the newest odometry
-            if isinstance(seen, Odometry) and seen.time > self._newest:
-                self._newest = seen.time
-                self._awaited = self.stamp_of(seen, self.now) if self._goal_sent else None
-        self._send()
-
-    def _send(self) -> None:
-        self._asked_at = self.node.steady_now()
-        self.show([each for each in self._sent if not isinstance(each, Odometry)])
-        if self.settings.faults != Faults():
-            time.sleep(APART)
-        self.deliver(self.now, [each for each in self._sent if isinstance(each, Odometry)])
-
-    def on_order(self, order: Order) -> None:
-        """Fly a step if this is the awaited answer."""
-        if self.finished or order.stamp != self._awaited:
-            return
-        if not self.view.command_lost(self.flight.ticks):
-            self.order, self._heard = order, self.flight.vehicle.time
-        self._fly_on()
-
-    def _fly_on(self) -> None:
-        if self.flight.over:
-            self.finish()
-            return
-        self.fly(self._heard + self.settings.command_timeout - self.flight.vehicle.time)
-        self._asking, self._awaited = False, None
-        if not self.settings.rate:
-            self._ask_when_due()
 
 
 class RealTime(FlightSimulation):
@@ -172,11 +161,10 @@ class RealTime(FlightSimulation):
 
     def start(self) -> None:
         """Wait for subscribers, then for a first command."""
-        self._until = -np.inf  # when the command in force expires, on the steady clock [s]
-        self._ends = -np.inf  # when it would have expired without the loss of liveliness [s]
+        self._expires = -np.inf  # when the last command expires, on the steady clock [s]
+        self._stopped = np.inf  # since when the vehicle is stopped; infinite while it is not [s]
         self._begun = -np.inf  # start of this step, on the steady clock [s]; without one, infinite
-        self._latched = False
-        self._wait()
+        self.wait()
 
     @property
     def now(self) -> int:
@@ -186,10 +174,9 @@ class RealTime(FlightSimulation):
 
     def on_order(self, order: Order) -> None:
         """Put a command in force."""
-        if self.view.command_lost(self.flight.ticks):
-            return
-        self.order, self._latched = order, False
-        self._until = self.node.steady_now() + self.settings.command_timeout
+        if not self.view.command_lost(self.flight.ticks):
+            self.order, self._stopped = order, np.inf
+            self._expires = self.node.steady_now() + self.settings.command_timeout
 
     def on_life(self, event: Any) -> None:
         """Stop when the planner loses liveliness; resume when it regains it."""
@@ -198,21 +185,20 @@ class RealTime(FlightSimulation):
             return
         # The lost planner is back; a new one would not reduce the number of lost ones.
         back = event.alive_count_change > 0 > event.not_alive_count_change
-        if back and self._latched and self.node.steady_now() < self._ends:
-            self._latched, self._until = False, self._ends
+        if back and self._stopped < np.inf and self.node.steady_now() < self._expires:
+            self._stopped = np.inf
             self.node.get_logger().info('the planner lives: its command is in force again')
 
     def look(self) -> None:
         """Stop when the command in force has expired."""
-        if not self._latched and self.node.steady_now() >= self._until:
+        if self._stopped == np.inf and self.node.steady_now() >= self._expires:
             self._stop(f'no command for {self.settings.command_timeout:g} s')
 
     def _stop(self, reason: str) -> None:
         """Stop the vehicle and report why, even if it has already stopped for another reason."""
-        if self._until == -np.inf or self.finished:  # no command so far
+        if self._expires == -np.inf or self.finished:  # no command so far
             return
-        self._ends = self._until
-        self._latched, self._until = True, min(self._until, self.node.steady_now())
+        self._stopped = min(self._stopped, self._expires, self.node.steady_now())
         share, turn = self.settings.failsafe_fraction, self.settings.failsafe_rate
         kept = f'failsafe at {share:g} of full speed or thrust, {turn:g} rad/s'
         self.warn(f'{reason}: {kept if share or turn else "stopped"}')
@@ -222,8 +208,8 @@ class RealTime(FlightSimulation):
         if self._begun == -np.inf:
             if self.awaited(planner=False):
                 return
-        elif self._until > -np.inf and not self.finished:
-            self.fly(self._until - self._begun)
+        elif self._expires > -np.inf and not self.finished:
+            self.fly(min(self._expires, self._stopped) - self._begun)
         if self.finished:
             return
         self._begun = self.node.steady_now()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Bool
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
@@ -66,8 +68,8 @@ class FlightSimulation(ABC):
         }
         self._out['captured'] = node.create_publisher(Bool, 'captured', LATCHED)
 
-    def _begin(self, time: float) -> None:
-        self.begun, self.flight = time, departure(self.settings)
+    def _begin(self, at: float) -> None:
+        self.begun, self.flight = at, departure(self.settings)
         self.view = View(self.settings)
         self.finished = False
         self.order = Order(0, 0.0, np.zeros(self.settings.model.rates))
@@ -95,7 +97,7 @@ class FlightSimulation(ABC):
 
     # --- waiting for planner and readers
 
-    def _wait(self) -> None:
+    def wait(self) -> None:
         """Start waiting for planner and readers; changes of what is missing are logged."""
         self._since = self.counted_from = self._met_after = self.node.steady_now()
         self._announced = ''
@@ -172,18 +174,16 @@ class FlightSimulation(ABC):
         """Return the stamp of a message that arrives ``now`` [ns], the stamp of this tick."""
         return now - round((self.flight.vehicle.time - seen.time) * SECOND)
 
-    def show(self, seen: Sequence[Seen]) -> None:
-        """Publish the present state of the flight: clock, markers, goals, odometry."""
+    def show(self, seen: Sequence[Seen], apart: float = 0.0) -> None:
+        """Publish the present state of the flight, then goals, then odometry ``apart`` [s]."""
         stamp = Stamp(self.now, self.settings.frames)
         for topic, message in outputs.shown(stamp, self._name, self.flight):
             self._out[topic].publish(message)
-        self.deliver(stamp.nanoseconds, seen)
-
-    def deliver(self, at: int, seen: Sequence[Seen]) -> None:
-        """Publish goals and odometry that arrive at ``at`` [ns]."""
-        for each in seen:
-            stamp = Stamp(self.stamp_of(each, at), self.settings.frames)
-            topic, message = outputs.sensed(stamp, each)
+        for each in sorted(seen, key=lambda each: isinstance(each, Odometry)):
+            if isinstance(each, Odometry):
+                time.sleep(apart)
+            at = replace(stamp, nanoseconds=self.stamp_of(each, stamp.nanoseconds))
+            topic, message = outputs.sensed(at, each)
             self._out[topic].publish(message)
 
     def fly(self, held: float) -> None:
