@@ -27,7 +27,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.ros.planner.core import planner_of
-from orbimpc_ros.sim.engines import Engine, Motion, Start, about
+from orbimpc_ros.sim.engines import Engine, Vehicle, about
 from orbimpc_ros.sim.vehicle import class_of
 from orbimpc_ros.tool.files import read
 
@@ -48,32 +48,35 @@ class Unmanned(Engine):
     name = 'unmanned'
     tick = 0.01  # [s]
 
-    def __init__(self, start: Start) -> None:
-        self._position, self._wind, self._strength = start.position, start.wind, start.gust
-        self._rng = np.random.default_rng(start.seed)
-        self._heading, self._speed = math.atan2(*start.attitude[1::-1, 0]), start.push
+    def __init__(
+        self, start: Vehicle, forward: float, gust: float, seed: int, _rest: Array
+    ) -> None:
+        self._position, self._wind, self._strength = start.position, start.wind, gust
+        self._rng, self._forward = np.random.default_rng(seed), forward
+        self._heading, self._speed = math.atan2(*start.attitude[1::-1, 0]), forward
         self._time = self._bank = self._rolling = 0.0
-        self._gust = start.gust * self._rng.normal(size=2)
+        self._gust = gust * self._rng.normal(size=2)
 
-    def fly(self, push: float, rate: Array) -> None:
+    def fly(self, fraction: float, rate: Array) -> None:
         """Fly for a tick; see :meth:`Engine.fly`."""
         tick, wanted = self.tick, math.atan(float(rate[0]) * self._speed / GRAVITY)
         self._rolling += tick * (16.0 * (wanted - self._bank) - 5.6 * self._rolling)
         self._bank += tick * self._rolling
         self._heading += tick * GRAVITY * math.tan(self._bank) / self._speed
-        self._speed += tick * (push - self._speed)
+        self._speed += tick * (self._forward * fraction - self._speed)
         fade = math.exp(-tick * self._speed / 200.0)
         noise = self._strength * math.sqrt(1.0 - fade**2)
         self._gust = fade * self._gust + noise * self._rng.normal(size=2)
         self._time += tick
-        self._position = self._position + tick * self.motion().velocity
+        self._position = self._position + tick * self.state().velocity
 
-    def motion(self) -> Motion:
-        """Return the present motion in the plane; gusts act on the ground velocity immediately."""
-        attitude, air = about(2, self._heading), self._wind + self._gust
-        velocity = self._speed * attitude[:2, 0] + air
-        known = self._time, self._position, velocity, attitude, np.zeros(3), air, self._speed
-        return Motion(*known, {'turn': GRAVITY * math.tan(self._bank) / self._speed})
+    def state(self) -> Vehicle:
+        """Return the present state in the plane; gusts act on the ground velocity immediately."""
+        attitude, air = about(2, self._heading)[:2, :2], self._wind + self._gust
+        velocity = self._speed * attitude[:, 0] + air
+        turn = np.array([GRAVITY * math.tan(self._bank) / self._speed])
+        known = self._time, self._position, velocity, attitude, turn
+        return Vehicle(*known, self._speed / self._forward, air)
 
 
 def ours(frame: SimpleNamespace, path: Path, max_rate: float) -> Follower:
@@ -104,10 +107,10 @@ def rival(name: str, frame: SimpleNamespace, path: Path, max_rate: float) -> Fol
     return follow
 
 
-def seen(motion: Motion, wind: complex) -> Flying:
-    """Return the measurements of a motion for a follower, with the mean wind."""
-    known = motion.position, motion.velocity, motion.velocity - motion.air
-    position, over_ground, through_air = (complex(*each[:2]) for each in known)
+def seen(state: Vehicle, wind: complex) -> Flying:
+    """Return the measurements of a vehicle for a follower, with the mean wind."""
+    known = state.position, state.velocity, state.velocity - state.wind
+    position, over_ground, through_air = (complex(*each) for each in known)
     return Flying(position, over_ground, through_air, wind)
 
 
@@ -125,18 +128,19 @@ def flight(airframe: str, shape: str, wind: float, name: str, seed: int) -> dict
     start = (path.radius + aside) * 1j * cmath.rect(1.0, angle)
     blowing = cmath.rect(wind * frame.airspeed, blown)
     velocity = cmath.rect(frame.airspeed, off) + blowing
-    known = vector(start), vector(velocity), about(2, off)[:2, :2], np.zeros(1), frame.airspeed
-    begun = Start(*known, vector(blowing), GUST, seed, np.zeros(2), np.zeros(2))
-    engine = Unmanned(begun) if airframe == 'unmanned' else class_of('cessna')(begun)
+    known = vector(start), vector(velocity), about(2, off)[:2, :2], np.zeros(1)
+    begun = Vehicle(0.0, *known, 1.0, vector(blowing))
+    kind = Unmanned if airframe == 'unmanned' else class_of('cessna')
+    engine = kind(begun, frame.airspeed, GUST, seed, np.zeros(2))
     max_rate = GRAVITY * math.tan(math.radians(frame.bank)) / frame.airspeed
     flying = frame, path, max_rate
     follow = ours(*flying) if name == 'ours' else rival(name, *flying)
     time, flown = 0.0, []
     while time < frame.seconds:
-        motion = engine.motion()
-        fraction, turn = follow(time, seen(motion, blowing), motion.facts['turn'])
-        for motion in engine.run(PERIOD, fraction * frame.airspeed, np.array([turn])):
-            wing = seen(motion, blowing)
+        state = engine.state()
+        fraction, turn = follow(time, seen(state, blowing), float(state.body_rate[0]))
+        for state in engine.run(PERIOD, fraction, np.array([turn])):
+            wing = seen(state, blowing)
             track = path.seen(wing.position)
             off = wrapped(cmath.phase(track.tangent) - cmath.phase(wing.over_ground))
             flown.append((time, track.error, off, abs(wing.through_air)))

@@ -3,12 +3,13 @@
 
 import os
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from orbimpc_ros.ros.entry import sim
 from orbimpc_ros.sim import vehicle as engines
-from orbimpc_ros.sim.engines import Engine, EngineFailure, Motion
+from orbimpc_ros.sim.engines import Engine, EngineFailure, Vehicle
 
 
 class Straight(Engine):
@@ -16,35 +17,33 @@ class Straight(Engine):
 
     name, tick, every, lasts = 'broken', 0.01, 100, 200
 
-    def __init__(self, _start):
+    def __init__(self, *_start):
         self.ticks = 0
 
     @property
     def time(self):
         return self.ticks * self.tick
 
-    def fly(self, push, rate):
+    def fly(self, fraction, rate):
         self.ticks += 1
 
-    def motion(self):
-        still, facts = np.zeros(3), {'bank': 0.0, 'turn': 0.0}
-        ahead = np.array([1.0, 0.0, 0.0])
-        return Motion(
-            self.time, 45.0 * self.time * ahead, 45.0 * ahead, np.eye(3), still, still, 45.0, facts
-        )
+    def state(self):
+        still, ahead = np.zeros(3), np.array([45.0, 0.0, 0.0])
+        known = self.time, self.time * ahead, ahead, np.eye(3), still, 0.9, still
+        return Vehicle(*known, facts={'bank': 0.0, 'turn': 0.0}).level()
 
 
 class Poisoned(Straight):
-    def motion(self):
-        unknown = {'velocity': np.full(3, np.nan)} if self.ticks > self.lasts else {}
-        return super().motion()._replace(**unknown)
+    def state(self):
+        unknown = {'velocity': np.full(2, np.nan)} if self.ticks > self.lasts else {}
+        return replace(super().state(), **unknown)
 
 
 class Stopping(Straight):
-    def fly(self, push, rate):
+    def fly(self, fraction, rate):
         if self.ticks == self.lasts:
             raise EngineFailure(f'{self.name}: stopped at t = {self.time:.3f} s')
-        super().fly(push, rate)
+        super().fly(fraction, rate)
 
 
 FAILURES = {kind.__name__: kind for kind in (Poisoned, Stopping)}

@@ -29,8 +29,9 @@ from orbimpc_ros.mpc.problem import Ball
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Stamp, marker, point, pose
 from orbimpc_ros.ros.topics import message_of
+from orbimpc_ros.sim.engines import Vehicle
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.vehicle import Vehicle, between, measured
+from orbimpc_ros.sim.vehicle import between, measured
 from orbimpc_ros.sim.world import Flight
 
 ODOMETRY, GOAL, COMMAND = range(3)  # rows of a tick's draws
@@ -109,11 +110,21 @@ def sensed(stamp: Stamp, content: Seen) -> tuple[str, Any]:
 
 
 def surroundings(stamp: Stamp, flight: Flight) -> Iterator[tuple[str, MarkerArray | Path]]:
-    """Yield the messages to a planner on bodies and the goal's path, if any, with their topics."""
-    if flight.settings.traffic:
-        yield 'obstacles', traffic_markers(stamp, flight)
+    """Yield the messages to a planner on bodies and the goal's path, if any, with their topics.
+
+    Bodies are larger than they are by the margin of the traffic.
+    """
+    step, margin = flight.settings.model.step, flight.settings.traffic_margin
+    markers = []
+    for k, each in enumerate(flight.settings.traffic):
+        ball = each.after(flight.vehicle.time).body
+        assert isinstance(ball, Ball)
+        empty = marker(stamp, 'traffic', k, Marker.SPHERE, messages.RED, step)
+        markers.append(messages.shown(empty, Ball(ball.centre, ball.radius + margin)))
+    if markers:
+        yield 'obstacles', MarkerArray(markers=markers)
     if steps := flight.settings.goal_path_steps:
-        step, rope = flight.settings.model.step, flight.settings.rope
+        rope = flight.settings.rope
         ahead = [pose(rope.at(flight.vehicle.time + step * k)) for k in range(steps + 1)]
         yield 'goal_path', messages.path_message(stamp, step, ahead)
 
@@ -171,14 +182,3 @@ def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
     vehicle.pose = pose(flight.vehicle.position, flight.vehicle.attitude)
     vehicle.scale = Vector3(x=0.4 * unit, y=0.1 * unit, z=0.1 * unit)
     return MarkerArray(markers=[rope, swing, vehicle])
-
-
-def traffic_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
-    """Return markers of the moving balls at their current positions, larger by the margin."""
-    model, margin, markers = flight.settings.model, flight.settings.traffic_margin, []
-    for k, each in enumerate(flight.settings.traffic):
-        assert isinstance(each.body, Ball)
-        place = each.body.centre + each.moved(np.array([flight.vehicle.time]))[0]
-        ball = marker(stamp, 'traffic', k, Marker.SPHERE, messages.RED, model.step)
-        markers.append(messages.shown(ball, Ball(place, each.body.radius + margin)))
-    return MarkerArray(markers=markers)

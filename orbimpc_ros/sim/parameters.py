@@ -28,7 +28,8 @@ from orbimpc_ros.ros.parameters.spec import (
     specs_of,
     vector,
 )
-from orbimpc_ros.sim.vehicle import ENGINES, EnginePlant, Model, Plant, Rope, Vehicle
+from orbimpc_ros.sim.engines import Vehicle
+from orbimpc_ros.sim.vehicle import ENGINES, EnginePlant, Model, Plant, Rope
 
 ALONG_AXES = (0.0, 0.0, 0.0)
 READERS = re.compile(rf'(?P<topic>{TOPIC.pattern})(\s+(?P<count>[1-9]\d?|100))?', TOPIC.flags)

@@ -9,7 +9,7 @@ is that of a rope.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import import_module
@@ -23,7 +23,7 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
-from orbimpc_ros.sim.engines import Engine, EngineFailure, Motion, Start
+from orbimpc_ros.sim.engines import Engine, EngineFailure, Vehicle
 
 SUBSTEP = 0.02  # [s] longest integration step
 SAMPLE = 0.02  # [s] between samples of gusts, interpolated linearly
@@ -117,31 +117,6 @@ class Rope:
         """Return g(t), shape (n,) [m]."""
         angle = 2.0 * np.pi * self.frequency * time + self.phase
         return self.center + self.velocity * time + self.amplitude * np.sin(angle)
-
-
-@dataclass(frozen=True)
-class Vehicle:
-    """State of a simulated vehicle; an engine can continue only from its latest state."""
-
-    time: float  # since the start of the flight [s]
-    position: Array  # s, shape (n,) [m]
-    velocity: Array  # p, in the world frame, shape (n,) [m/s]; a dependent variable at order 1
-    attitude: Array  # Q, body to world, shape (n, n)
-    body_rate: Array  # omega, in the body frame, shape (1,) or (3,) [rad/s]
-    fraction: float  # sigma, applied share of full speed or thrust, in [0, 1]
-    wind: Array  # shape (n,) [m/s]
-    height: float = 0.0  # above the plane of flight [m]; 0 in space
-    climb: float = 0.0  # upward airspeed, normal to that plane [m/s]
-    facts: Mapping[str, float] = field(default_factory=dict)  # further quantities, by name
-    goal: Array | None = None  # shape (n,) [m]; None if the scenario sets it
-    caught: bool | None = None  # whether the goal has been caught; None if distance decides
-    lost: bool = False  # whether a catch has become impossible
-    engine: Engine | None = None  # moves the vehicle
-
-    @property
-    def airspeed(self) -> float:
-        """Return the airspeed [m/s]."""
-        return float(np.linalg.norm(np.append(self.velocity - self.wind, self.climb)))
 
 
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
@@ -336,17 +311,13 @@ class EnginePlant(Model):
         Raises:
             BadInput: the engine is not installed, or cannot start from this state.
         """
-        start = Start(
-            *(vehicle.position, vehicle.velocity, vehicle.attitude, vehicle.body_rate),
-            self.forward * vehicle.fraction,
-            *(self.blown, self.gust, self.seed),
-            *(self.rope.center, self.rope.at(0.0)),
-        )
+        start = replace(vehicle, wind=self.blown, goal=self.rope.at(0.0))
+        given = self.forward, self.gust, self.seed, self.rope.center
         try:
-            engine = class_of(self.engine)(start)
+            engine = class_of(self.engine)(start, *given)
         except EngineFailure as error:
             raise BadInput('vehicle', self.engine, f'a possible start ({error})') from None
-        return self._read(engine, engine.motion())
+        return replace(engine.state(), engine=engine)
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
@@ -356,34 +327,10 @@ class EnginePlant(Model):
         Raises:
             EngineFailure: the engine has failed.
         """
-        assert vehicle.engine is not None
-        push, engine = self.forward * float(np.clip(fraction, 0.0, 1.0)), vehicle.engine
-        return tuple(self._read(engine, each) for each in engine.run(span, push, body_rate))
-
-    def _read(self, engine: Engine, motion: Motion) -> Vehicle:
-        """Return a motion as a vehicle state."""
-        n, height, climb = self.dimension, 0.0, 0.0
-        attitude, rate = motion.attitude, motion.body_rate
-        if n == 2:
-            attitude = exp(np.array([math.atan2(attitude[1, 0], attitude[0, 0])]))
-            height, rate = float(motion.position[2]), np.array([motion.facts['turn']])
-            climb = float((motion.velocity - motion.air)[2])
-        return Vehicle(
-            time=motion.time,
-            position=motion.position[:n],
-            velocity=motion.velocity[:n],
-            attitude=attitude,
-            body_rate=rate,
-            fraction=min(max(motion.push / self.forward, 0.0), 1.0),
-            wind=motion.air[:n],
-            height=height,
-            climb=climb,
-            facts={'height': height, **motion.facts},
-            goal=None if motion.goal is None else motion.goal[:n],
-            caught=motion.caught,
-            lost=motion.lost,
-            engine=engine,
-        )
+        engine = vehicle.engine
+        assert engine is not None
+        states = engine.run(span, float(np.clip(fraction, 0.0, 1.0)), body_rate)
+        return tuple(replace(each, engine=engine) for each in states)
 
 
 def class_of(name: str) -> Callable[..., Engine]:

@@ -13,8 +13,8 @@ from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
 from orbimpc_ros.mpc.problem import Ball, MovingObstacle
+from orbimpc_ros.sim.engines import Vehicle
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.vehicle import Vehicle
 
 ROUNDING = 1e-6  # relative tolerance of the stall speed
 

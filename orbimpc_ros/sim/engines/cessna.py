@@ -17,7 +17,7 @@ import math
 import jsbsim
 import numpy as np
 
-from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start, about
+from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Vehicle, about
 
 FOOT = 0.3048  # [m]
 GRAVITY = 9.80665  # [m/s^2]
@@ -34,8 +34,7 @@ LIGHT = 3.0  # severity above 1,000 ft; 0 switches turbulence off at all heights
 class Cessna(Engine):
     """The aircraft in flight, trimmed at the start.
 
-    Args:
-        start: in the plane, east and north; its gust is the strength of the turbulence.
+    It starts in the plane, east and north; the goal is not its concern.
 
     Raises:
         EngineFailure: there is no level flight at that speed.
@@ -45,16 +44,19 @@ class Cessna(Engine):
     tick = 1.0 / RATE
     every = 6
 
-    def __init__(self, start: Start) -> None:
+    def __init__(
+        self, start: Vehicle, forward: float, gust: float, seed: int, _rest: Array
+    ) -> None:
         jsbsim.FGJSBBase().debug_lvl = 0  # of all later instances: no banner
         self._fdm = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
         self._fdm.load_model('c172x')
         self._fdm.set_dt(self.tick)
+        self._forward, speed = forward, forward * start.fraction
         self._place, wind, axis = start.position, start.wind, start.attitude[:, 0]
-        east, north = start.push * axis + wind
+        east, north = speed * axis + wind
         self._set(
             {
-                'simulation/randomseed': start.seed,
+                'simulation/randomseed': seed,
                 'ic/h-agl-ft': HEIGHT,
                 'ic/lat-geod-deg': 0.0,
                 'ic/long-gc-deg': 0.0,
@@ -63,7 +65,7 @@ class Cessna(Engine):
                 'ic/vw-dir-deg': math.degrees(math.atan2(*wind)) % 360.0,  # blows towards
                 'ic/ve-fps': east / FOOT,
                 'ic/vn-fps': north / FOOT,
-                'fcs/throttle-cmd-norm': float(np.interp(start.push, SPEEDS, THROTTLES)),
+                'fcs/throttle-cmd-norm': float(np.interp(speed, SPEEDS, THROTTLES)),
             }
         )
         self._fdm.run_ic()
@@ -71,14 +73,14 @@ class Cessna(Engine):
         try:
             self._set({'simulation/do_simple_trim': 1.0})
         except jsbsim.TrimFailureError as error:
-            why = f'{self.name}: no level flight at {start.push:g} m/s'
+            why = f'{self.name}: no level flight at {speed:g} m/s'
             raise EngineFailure(why) from error
         # After trimming: turbulence, and both autopilots.
         self._set(
             {
                 'atmosphere/turb-type': MILITARY,
                 'atmosphere/turbulence/milspec/severity': LIGHT,
-                'atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps': 10.0 * start.gust / FOOT,
+                'atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps': 10.0 * gust / FOOT,
                 'ap/altitude_setpoint': HEIGHT,
                 'ap/altitude_hold': 1.0,
                 'ap/autopilot-roll-on': 1.0,
@@ -106,18 +108,19 @@ class Cessna(Engine):
             }
         )
 
-    def fly(self, push: float, rate: Array) -> None:
+    def fly(self, fraction: float, rate: Array) -> None:
         """Fly for one tick at a commanded airspeed; see :meth:`Engine.fly`."""
         fdm, now = self._fdm, self._fdm['velocities/vt-fps'] * FOOT
+        wanted = self._forward * fraction
         bank = math.atan(float(rate[0]) * now / GRAVITY)  # to the left, where headings decrease
-        throttle = np.interp(push, SPEEDS, THROTTLES) + CORRECTION * (push - now)
+        throttle = np.interp(wanted, SPEEDS, THROTTLES) + CORRECTION * (wanted - now)
         fdm['guidance/specified-heading-rad'] = fdm['attitude/psi-rad'] - bank
         fdm['fcs/throttle-cmd-norm'] = min(max(float(throttle), 0.0), 1.0)
         if not fdm.run():
-            raise EngineFailure(f'{self.name}: stopped at t = {self.motion().time:.3f} s')
+            raise EngineFailure(f'{self.name}: stopped at t = {self.state().time:.3f} s')
 
-    def motion(self) -> Motion:
-        """Return the present state of motion.
+    def state(self) -> Vehicle:
+        """Return the present state.
 
         ``bank`` is positive to the left; ``turn`` is the rate of a coordinated turn at this bank,
         as an instrument shows it, without the yaw by which the fin corrects for a gust.
@@ -127,20 +130,20 @@ class Cessna(Engine):
         way = [EAST * fdm['position/long-gc-rad'], NORTH * fdm['position/lat-geod-rad']]
         high = (fdm['position/h-agl-ft'] - HEIGHT) * FOOT
         compass, pitch, roll = (fdm[f'attitude/{name}-rad'] for name in ('psi', 'theta', 'phi'))
-        return Motion(
+        return Vehicle(
             float(fdm['simulation/sim-time-sec']),
             np.append(self._place + way, high),
             self._enu('velocities/v-{}-fps'),
             about(2, 0.5 * math.pi - compass) @ about(1, -pitch) @ about(0, roll),
             np.array([fdm[f'velocities/{axis}-rad_sec'] for axis in 'pqr']) * [1.0, -1.0, -1.0],
+            min(max(speed / self._forward, 0.0), 1.0),
             self._enu('atmosphere/total-wind-{}-fps'),
-            speed,
-            {
+            facts={
                 'bank': -float(roll),
                 'turn': -GRAVITY * math.tan(roll) / speed,
                 'throttle': float(fdm['fcs/throttle-cmd-norm']),
             },
-        )
+        ).level()
 
     def _enu(self, name: str) -> Array:
         """Return one of the engine's vectors in ENU axes and metres."""

@@ -25,7 +25,7 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start, about
+from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Vehicle, about
 
 STEP = 0.002  # [s] MuJoCo's time step
 CONTROL = 2  # steps per update of the rotor commands
@@ -66,8 +66,7 @@ def scene(anchor: Array) -> str:
 class Hummingbird(Engine):
     """The vehicle in flight and the released rope; heights are above the plane of flight.
 
-    Args:
-        start: in the plane; its position, like that of all motions, is the position of the hook.
+    It flies in the plane; its position is that of the hook.
 
     Raises:
         EngineFailure: the rope would be released too far from its rest position.
@@ -77,13 +76,14 @@ class Hummingbird(Engine):
     tick = STEP * CONTROL
     every = 5
 
-    def __init__(self, start: Start) -> None:
-        aside = start.goal - start.rest
+    def __init__(self, start: Vehicle, forward: float, gust: float, seed: int, rest: Array) -> None:
+        assert start.goal is not None
+        aside = start.goal - rest
         if math.hypot(*aside) > FARTHEST:
             raise EngineFailure(f'{self.name}: a rope starts at most {FARTHEST:g} m from rest')
         # Problems are raised as errors, not logged to a file.
         mujoco.set_mju_user_warning(lambda _: None)
-        self._model = mujoco.MjModel.from_xml_string(scene(np.append(start.rest, ABOVE)))
+        self._model = mujoco.MjModel.from_xml_string(scene(np.append(rest, ABOVE)))
         self._data = mujoco.MjData(self._model)
         self._vehicle = self._model.body('vehicle').id
         hook = (self._model.geom(name).id for name in ('hook boom', 'hook bar'))
@@ -92,14 +92,14 @@ class Hummingbird(Engine):
         self._controller = SE3Control(quad_params)
         hover = math.sqrt(quad_params['mass'] * 9.81 / (4.0 * quad_params['k_eta']))
         self._rotors = np.full(4, hover)
-        self._wind, self._gust = start.wind, start.gust
-        self._draw = np.random.default_rng(start.seed)
-        self._blown = start.gust * self._draw.normal(size=2)
+        self._forward, self._wind, self._gust = forward, start.wind, gust
+        self._draw = np.random.default_rng(seed)
+        self._blown = gust * self._draw.normal(size=2)
         self._waypoint: Array | None = None
         self._caught = self._struck = False
         yaw = math.atan2(start.attitude[1, 0], start.attitude[0, 0])
         place = np.append(start.position, 0.0) - about(2, yaw) @ NOSE
-        self._setpoint = _Setpoint(place, yaw, start.push, 0.0, 0.0)
+        self._setpoint = _Setpoint(place, yaw, forward * start.fraction, 0.0, 0.0)
         data, axis = self._data, np.array([aside[1], -aside[0], 0.0])
         data.qpos[:7] = *place, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)
         data.qvel[:3] = self._setpoint.flat['x_dot']
@@ -116,16 +116,16 @@ class Hummingbird(Engine):
         """
         self._waypoint = np.append(point, 0.0)
 
-    def fly(self, push: float, rate: Array) -> None:
+    def fly(self, fraction: float, rate: Array) -> None:
         """Fly for one tick at a commanded speed over ground; see :meth:`Engine.fly`."""
         data, before, turn = self._data, self._setpoint, float(rate[0])
-        begun = data.time
+        begun, speed = data.time, self._forward * fraction
         if self._waypoint is not None:
             away = self._waypoint - before.position
             off = math.remainder(math.atan2(away[1], away[0]) - before.yaw, 2.0 * math.pi)
             turn = min(max(off / self.tick, -FASTEST), FASTEST)
-            push = min(push, max(0.0, math.hypot(*away) - NOSE[0]) / self.tick)
-        self._setpoint = before.after(self.tick, push, turn)
+            speed = min(speed, max(0.0, math.hypot(*away) - NOSE[0]) / self.tick)
+        self._setpoint = before.after(self.tick, speed, turn)
         self._push()
         for _ in range(CONTROL):
             mujoco.mj_step(self._model, data)
@@ -167,30 +167,31 @@ class Hummingbird(Engine):
             'w': velocity[3:].copy(),
         }
 
-    def motion(self) -> Motion:
-        """Return the present motion of the hook."""
+    def state(self) -> Vehicle:
+        """Return the present state of the hook."""
         data, state = self._data, self._state()
         attitude = data.xmat[self._vehicle].reshape(3, 3).copy()
         hook = state['x'] + attitude @ NOSE
         velocity = state['v'] + attitude @ np.cross(state['w'], NOSE)
         setpoint = self._setpoint
-        return Motion(
+        ahead = about(2, setpoint.yaw)[:, 0]
+        return Vehicle(
             data.time,
             hook,
             velocity,
             attitude,
             state['w'],
+            min(max(float(velocity @ ahead) / self._forward, 0.0), 1.0),
             self._air,
-            float(velocity @ about(2, setpoint.yaw)[:, 0]),
-            {
+            facts={
                 'bank': math.acos(min(max(attitude[2, 2], -1.0), 1.0)),
                 'turn': float((attitude @ state['w'])[2]),
                 'off': float(np.linalg.norm(setpoint.position - state['x'])),
             },
-            self._crossing(),
-            self._caught,
-            self._struck,
-        )
+            goal=self._crossing(),
+            caught=self._caught,
+            lost=self._struck,
+        ).level()
 
     def _crossing(self) -> Array:
         """Return where the rope crosses the plane of flight, else its end, shape (3,) [m]."""

@@ -32,7 +32,7 @@ from Basilisk.simulation import (
 from Basilisk.utilities import simIncludeRW, simIncludeThruster
 from Basilisk.utilities.RigidBodyKinematics import C2MRP, MRP2C, PRV2C
 
-from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Motion, Start
+from orbimpc_ros.sim.engines import Array, Engine, EngineFailure, Vehicle
 
 SECOND = 1_000_000_000  # [ns]
 STEP = 0.02  # [s] integration step, by the fourth-order Runge-Kutta method
@@ -55,21 +55,22 @@ OFF_AXIS = 0.01  # [rad] standard deviation of a thruster's axis about each norm
 class Servicer(Engine):
     """The spacecraft in flight; its position is the centre of its hull.
 
-    Args:
-        start: in space; the goal is the client, which stays on its orbit. Its wind is an
-            acceleration in addition to gravity; its seed draws the model errors.
+    It starts in space; the goal is the client, which stays on its orbit. Its wind is an
+    acceleration in addition to gravity; the seed draws the model errors.
     """
 
     name = 'basilisk'
     tick = CONTROL
     every = 5
 
-    def __init__(self, start: Start) -> None:
+    def __init__(
+        self, start: Vehicle, forward: float, _gust: float, seed: int, rest: Array
+    ) -> None:
         bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)
-        draw = np.random.default_rng(start.seed)
+        draw = np.random.default_rng(seed)
         still, off_center = np.zeros(3), OFF_CENTER * draw.normal(size=3)
-        away = start.position - start.rest
-        self._rest, self._now = start.rest, 0  # [ns]
+        away = start.position - rest
+        self._forward, self._rest, self._now = forward, rest, 0  # [ns]
         self._setpoint = _Setpoint(start.attitude, start.body_rate, still)
         self._client = _orbiting(still, still, np.eye(3), still, still)
         self._vehicle = _orbiting(away, start.velocity, start.attitude, start.body_rate, off_center)
@@ -88,9 +89,9 @@ class Servicer(Engine):
         self._tell(0.0)
         self._simulation.StepUntilStop(0, -1)
 
-    def fly(self, push: float, rate: Array) -> None:
+    def fly(self, fraction: float, rate: Array) -> None:
         """Fly for one tick at a commanded thrust acceleration; see :meth:`Engine.fly`."""
-        self._tell(push)
+        self._tell(self._forward * fraction)
         self._setpoint = self._setpoint.after(CONTROL, rate)
         self._now += round(CONTROL * SECOND)
         try:
@@ -112,8 +113,8 @@ class Servicer(Engine):
         force = messaging.THRArrayCmdForceMsgPayload(thrForce=[MASS * push])
         self._force.write(force, self._now)
 
-    def motion(self) -> Motion:
-        """Return the present motion; ``push`` is the mean acceleration of the latest pulses.
+    def state(self) -> Vehicle:
+        """Return the present state; ``fraction`` is the mean thrust of the latest pulses.
 
         ``pointing`` is the angle between attitude and setpoint [rad], ``wheel`` the speed of the
         fastest wheel [rad/s].
@@ -123,15 +124,15 @@ class Servicer(Engine):
         pulse = min(self._firing.onTimeOutMsg.read().OnTimeRequest[0], PULSE)
         speeds = self._wheels.rwSpeedOutMsg.read().wheelSpeeds[:3]
         off = C2MRP(attitude.T @ self._setpoint.attitude)
-        return Motion(
+        return Vehicle(
             self._simulation.CurrentNanos / SECOND,
             self._rest + np.subtract(now.r_BN_N, client.r_BN_N),
             np.subtract(now.v_BN_N, client.v_BN_N),
             attitude,
             np.array(now.omega_BN_B),
+            min(FORCE * pulse / PULSE / MASS / self._forward, 1.0),
             np.zeros(3),
-            FORCE * pulse / PULSE / MASS,
-            {
+            facts={
                 'pointing': 4.0 * math.atan(float(np.linalg.norm(off))),
                 'wheel': float(np.abs(speeds).max()),
             },
