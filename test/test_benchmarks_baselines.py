@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.baselines import BASELINES, baseline_named
 from benchmarks.baselines.baseline import Baseline, Sight
+from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.parameters.planner import planner_settings
@@ -46,9 +47,9 @@ def seeing(*hazards, goal=(25.0, 0.0), velocity=(0.0, 0.0), wind=(0.0, 0.0)):
 @pytest.mark.parametrize('name', STEERING)
 @pytest.mark.parametrize('side', [1.0, -1.0])
 def test_baselines_turn_to_the_side_of_the_goal(name, side):
-    fraction, rate = made(name).steered(seeing(goal=(30.0, side * 40.0)))
-    assert side * rate > 0.05
-    assert 0.5 < fraction <= 1.0
+    command = made(name).steered(seeing(goal=(30.0, side * 40.0)))
+    assert side * command.body_rate[0] > 0.05
+    assert 0.5 < command.speed_fraction <= 1.0
 
 
 # --- traffic
@@ -61,8 +62,8 @@ def disc(x, y, velocity=(0.0, 0.0), radius=2.0):
 @pytest.mark.parametrize('name', STEERING)
 @pytest.mark.parametrize('side', [1.0, -1.0])
 def test_baselines_steer_clear_of_what_is_in_the_way(name, side):
-    fraction, rate = baseline_named(name, BOAT, '').steered(seeing(disc(8.0, -0.4 * side)))
-    assert side * rate > 0.02 or fraction < 0.7
+    command = baseline_named(name, BOAT, '').steered(seeing(disc(8.0, -0.4 * side)))
+    assert side * command.body_rate[0] > 0.02 or command.speed_fraction < 0.7
 
 
 # --- flown in the planner's place
@@ -71,13 +72,15 @@ def test_baselines_steer_clear_of_what_is_in_the_way(name, side):
 class Listener(Baseline):
     """Flies straight on at full speed and records its inputs."""
 
+    wanted = None
+
     def __init__(self, known):
         super().__init__(known, {})
         self.seen, self.late = [], []
 
     def steered(self, sight):
         self.seen.append(sight)
-        return 1.0, 0.0
+        return Command(1.0, np.zeros(1), sight.state.attitude)
 
     def step(self, snapshot, now=None, late=None):
         self.late.append(late())

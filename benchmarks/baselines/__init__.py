@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from benchmarks.baselines.baseline import Baseline
-from benchmarks.baselines.guidance import Lead, Proportional, PurePursuit, Waypoint
+from benchmarks.baselines.baseline import Baseline, Lead, Proportional, PurePursuit, Waypoint
 from orbimpc_ros.install import shared
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
