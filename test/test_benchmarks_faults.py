@@ -10,8 +10,7 @@ import pytest
 from harness import orbimpc
 
 from benchmarks.faults import inputs, processes
-from benchmarks.faults.harness import Harness
-from benchmarks.faults.injection import Fault, unsafe_commands
+from benchmarks.faults.harness import STEP, Harness
 from benchmarks.faults.matrix import FaultCase, Outcome, table
 from benchmarks.faults.monitor import HeardCommand, Monitor
 
@@ -40,18 +39,16 @@ def test_what_came_before_a_fault_may_be_flown_until_it_is_out_of_date():
     """A busy planner may be safe at first, and then plan from valid odometry in its queue."""
     due = 1.0 + 0.3
 
-    def unsafe(*commands, strict=True):
-        fault = Fault('fault', lambda _harness: None, wait=0.3, strict=strict)
+    def unsafe(*commands):
         monitor = Monitor(speed=1.0, rate=3.0)
         monitor.commands += [HeardCommand(at, speed, (0.0, 0.0, w)) for at, speed, w in commands]
-        return unsafe_commands(monitor, fault, 1.0, due)
+        return monitor.moving_again(due, due + STEP)
 
     busy = [(1.05, 0.0, 0.0), (1.1, 0.5, 0.1), (1.2, 0.5, 0.1)]
     stopped = [(due + 0.1, 0.0, 0.0), (due + 0.3, 0.0, 0.0)]
     assert unsafe(*busy, *stopped) == 0
     again = (*busy, *stopped, (due + 0.5, 0.5, 0.1))
     assert unsafe(*again) == 1
-    assert unsafe(*again, strict=False) == 0
     assert unsafe(*busy, (due + 0.1, 0.5, 0.1), (due + 0.3, 0.5, 0.1)) == 1
 
 
@@ -62,9 +59,8 @@ def test_the_message_that_is_repeated_is_the_first_of_each_injection():
     """One from long ago would seem to come from another clock, and could be flown when it came."""
     fed = SimpleNamespace()
     fed.spoiling = partial(Harness.spoiling, fed)
-    (fault,) = (each for each in inputs._stamps() if each.name == 'the same stamp')
     for first in (1, 2):
-        with fault.imposed(fed):
+        with inputs.REPEATED.imposed(fed):
             spoil = fed._spoiled['odometry']
             assert [spoil(each, None) for each in (first, 7)] == [[first], [first]]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.faults.harness import STEP, Harness
-from benchmarks.faults.matrix import FaultCase, Outcome
+from benchmarks.faults.matrix import Outcome
 from benchmarks.faults.monitor import Event, Monitor, complaint
 
 START, MIDWAY, SOLVING = 'start', 'mid-run', 'during a solve'
@@ -48,30 +48,20 @@ class Fault:
     times: Sequence[str] = TIMES  # moments of injection in the long form
 
 
-def fault_case(
-    name: str,
-    title: str,
-    faults: Callable[[], Sequence[Fault]],
-    short: Sequence[str] = (MIDWAY,),
-    *,
-    allowed: float = 1.0,
-    simulated: bool = False,
-) -> FaultCase:
-    """Return a row of faults that are injected into a running planner for this row.
+def injecting(
+    *faults: Fault, short: Sequence[str] = (MIDWAY,), simulated: bool = False
+) -> Callable[[str, bool], Iterator[Outcome]]:
+    """Return the cases of a row: faults that are injected into a planner running for this row.
 
     Args:
-        name: for ``--only``.
-        title: description.
-        faults: makes new faults.
+        faults: to inject.
         short: moments of injection in the short form, which takes the faults in turns.
-        allowed: latest reaction, in ticks.
         simulated: whether the harness publishes the planner's clock as well.
     """
 
     def run(nodes: str, long: bool) -> Iterator[Outcome]:
-        made = faults()
-        every = [(fault, when) for fault in made for when in fault.times]
-        pairs = every if long else [*zip(itertools.cycle(made), short)]
+        every = [(fault, when) for fault in faults for when in fault.times]
+        pairs = every if long else [*zip(itertools.cycle(faults), short)]
         for seed in SEEDS if long else SEEDS[:1]:
             for solving in (False, True):
                 some = [pair for pair in pairs if (pair[1] == SOLVING) == solving]
@@ -80,7 +70,7 @@ def fault_case(
                     with closing(Harness(nodes, slow, simulated=simulated, seed=seed)) as harness:
                         yield from (injected(harness, *pair) for pair in some)
 
-    return FaultCase(name, title, allowed, run)
+    return run
 
 
 def injected(harness: Harness, fault: Fault, when: str) -> Outcome:
@@ -108,25 +98,14 @@ def injected(harness: Harness, fault: Fault, when: str) -> Outcome:
         if when != START:
             late = max(0.0, harness.until_first(fault.event, begin) - due) / STEP
         harness.spin(AFTER * STEP)
-        unsafe = unsafe_commands(harness.monitor, fault, begin, due)
-        if when == START and fault.strict:  # there is no earlier plan to be flown
-            unsafe += harness.monitor.moving(begin, due)
+        unsafe = harness.monitor.broken(begin)
+        if fault.strict:
+            unsafe += harness.monitor.moving_again(due, due + STEP)
+            if when == START:  # there is no earlier plan to be flown
+                unsafe += harness.monitor.moving(begin, due)
     harness.planner.require_health()
     harness.until_planned()
     return Outcome(f'{fault.name}, {when}', unsafe, late)
-
-
-def unsafe_commands(monitor: Monitor, fault: Fault, begin: float, due: float) -> int:
-    """Return the number of commands since the beginning of a fault that should not have been sent.
-
-    Args:
-        monitor: with the commands.
-        fault: that was injected.
-        begin: time of its beginning [s].
-        due: time from which no earlier plan may be flown [s].
-    """
-    again = monitor.moving_again(due, due + STEP)
-    return monitor.broken(begin) + (again if fault.strict else 0)
 
 
 def until_due(harness: Harness, when: str) -> None:
