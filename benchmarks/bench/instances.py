@@ -6,8 +6,9 @@ Vehicles in flight are controlled by this package's planner; some are in continu
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -106,34 +107,44 @@ def landings(problem: Problem, count: int) -> list[Instance]:
     return found
 
 
-Departure = Callable[[Problem, np.random.Generator], dict[str, Any]]
+def in_flight(
+    problem: Problem,
+    count: int,
+    study: str,
+    seconds: float,
+    changes: Sequence[str] = (),
+    rules: Mapping[str, Any] = {},
+) -> list[Instance]:
+    """Return consecutive ticks of a study's flights, each of a number of seconds.
 
+    ``changes`` are ``name=value``; more ``rules`` than the study's are for random parameters, too.
+    """
+    from orbimpc_ros.tool.study import draws_of  # needs ROS, unlike instances that are drawn
 
-def in_flight(problem: Problem, count: int, departs: Departure, seconds: float) -> list[Instance]:
-    """Return consecutive ticks of random flights, each of a number of seconds."""
-    rng, found = np.random.default_rng(SEED), list[Instance]()
+    draws, numbers, found = draws_of(study, changes), itertools.count(), list[Instance]()
+    draws = replace(draws, rules={**draws.rules, **rules})
     while len(found) < count:
-        flown = _flown(problem, departs(problem, rng))
+        flown = _flown(problem, draws.of(SEED, next(numbers)))
         found += islice(flown, min(count - len(found), round(seconds / problem.step)))
     return found
 
 
-def _flown(problem: Problem, values: dict[str, Any]) -> Iterator[Instance]:
+def _flown(problem: Problem, values: Mapping[str, Any]) -> Iterator[Instance]:
     """Yield tick after tick of a flight; the controller has a shorter horizon among boxes."""
-    # They need ROS, unlike instances that are drawn.
-    from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-    from orbimpc_ros.ros.parameters.spec import TINY, completed
-    from orbimpc_ros.sim.parameters import SIM, sim_settings
+    from orbimpc_ros.ros.parameters.planner import planner_settings
+    from orbimpc_ros.sim.parameters import sim_settings
     from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
+    from orbimpc_ros.tool.settings import of_sim
 
-    known = {name: getattr(problem, name) for name in SHARED} | values
-    own = {'vehicle': 'continuous', 'goal_path_steps': problem.horizon + LONGER}
-    world = sim_settings(completed(SIM, known | own | {'capture_radius': TINY, 'max_ticks': 1000}))
-    settings = planner_settings(completed(PLANNER, known))
+    known = {**values, **{name: getattr(problem, name) for name in SHARED}}
+    own: dict[str, Any] = {'capture_radius': 1e-6, 'max_ticks': 1000}  # it flies on
+    world = replace(sim_settings(of_sim(known)), goal_path_steps=problem.horizon + LONGER, **own)
+    settings = planner_settings(known)
     controller = Planner(
         replace(problem, horizon=SHORT) if problem.obstacles else problem,
         gap_tolerance=1e-2,
         disturbance=settings.disturbance,
+        estimated=settings.estimated,
         velocity_source=settings.velocity_source,
         response=settings.response,
     )
@@ -145,41 +156,3 @@ def _flown(problem: Problem, values: dict[str, Any]) -> Iterator[Instance]:
         if decision is not None and decision.state is not None:
             goals = [world.rope.at(flight.vehicle.time + each) for each in ahead]
             yield Instance(decision.state, np.array(goals))
-
-
-def wing(_problem: Problem, rng: np.random.Generator) -> dict[str, Any]:
-    """Return the parameters of a wing in a known wind, and of a swinging goal 80 m away.
-
-    The wing lags behind its commands, and its goal drifts, slower than it can fly: it circles after
-    the approach.
-    """
-    angles = rng.uniform(-math.pi, math.pi, size=3)
-    blowing, bearing, course = np.column_stack([np.cos(angles), np.sin(angles)])
-    return {
-        'wind': tuple(rng.uniform(0.0, 5.0) * blowing),
-        'velocity_source': 'air',
-        'response.speed': 0.8,
-        'response.rate': 0.3,
-        'start.speed_fraction': 0.8,
-        'rope.center': tuple(80.0 * bearing),
-        'rope.amplitude': tuple(rng.uniform(0.0, 3.0, size=2)),
-        'rope.frequency': rng.uniform(0.02, 0.1),
-        'rope.phase': tuple(rng.uniform(0.0, 2.0 * math.pi, size=2)),
-        'rope.velocity': tuple(rng.uniform(0.0, 2.0) * course),
-    }
-
-
-def multirotor(problem: Problem, rng: np.random.Generator) -> dict[str, Any]:
-    """Return the parameters of a multirotor that hovers, and of a goal behind the boxes."""
-    aside, place = rng.uniform(-1.0, 1.0, size=(2, 3))
-    return {
-        'gravity': -GRAVITY[2],
-        'thrust_axis': 'z',
-        'response.speed': 0.1,
-        'response.rate': 0.1,
-        'start.position': (0.0, *aside[1:]),
-        'start.speed_fraction': -GRAVITY[2] / problem.forward,
-        'rope.center': (10.0, *place[1:]),
-        'rope.frequency': 0.0,
-        'rope.amplitude': (0.0, 0.0, 0.0),
-    }

@@ -24,9 +24,7 @@ from benchmarks.bench.instances import (
     circling,
     in_flight,
     landings,
-    multirotor,
     scattered,
-    wing,
 )
 from benchmarks.bench.interleaved import OURS
 from benchmarks.bench.solvers import Ours, Solver
@@ -103,10 +101,18 @@ def _wing(
                       (4, 200), closed_loop=True, every=20, **known | more)  # fmt: skip
 
 
-CIRCLING = partial(in_flight, departs=wing, seconds=20.0)
+CIRCLING = partial(in_flight, study='fixed_wing', seconds=20.0)
 TO_CORNER = partial(arrivals, goal=np.array([5.0, 10.0]), spread=0.3)
 TO_FAR_CORNER = partial(arrivals, goal=np.array([5.0, 10.0, 25.0]), spread=0.3)
 ACROSS = partial(arrivals, goal=np.array([8.0, 0.0]), spread=0.3)
+ASIDE = {'y': [-1.0, 1.0], 'z': [-1.0, 1.0]}
+BEHIND = partial(
+    in_flight,
+    study='multirotor',
+    seconds=4.0,
+    changes=('sim.wind=[0.0, 0.0, 0.0]', 'gust=0.0', 'disturbance=given', 'response.speed=0.1'),
+    rules={'start.position': ASIDE, 'rope.center': ASIDE | {'x': [10.0, 10.0]}},
+)
 SPACECRAFT: dict[str, Any] = {'dimension': 3, 'rotation_order': 2, 'translation_order': 2}
 LIFTED: dict[str, Any] = {'dimension': 3, 'translation_order': 2, 'forward': 20.0,
                           'discretisation': 'exact'}  # fmt: skip
@@ -170,7 +176,7 @@ COMPARISONS = (
     Comparison('multirotor', 'multirotor N=20 under gravity, 8 boxes, 1e-3',
                weighed(Problem(weights=MULTIROTOR, obstacles=boxes(8, space=True), horizon=20,
                                step=0.2, **LIFTED), 'time'),
-               partial(in_flight, departs=multirotor, seconds=4.0), (2, 60), 1e-3,
+               BEHIND, (2, 60), 1e-3,
                required={OURS: _times(5.0, 50.0)}, closed_loop=True),
     Comparison('lander', 'lander N=30, thrust 0.3, 1e-3',
                weighed(Problem(weights=LANDER, terminal='constraint', horizon=30, step=0.3,
