@@ -83,7 +83,7 @@ def ours(frame: SimpleNamespace, path: Path, max_rate: float) -> Follower:
     """Return this package's planner as a follower."""
     own = {'forward': frame.airspeed, 'max_rate': max_rate} | frame.planner
     settings = planner_settings(completed(PLANNER, KNOWN['planner'] | own))
-    planner, route = planner_of(settings)[1], Route(path.points(30_000.0))
+    planner, route = planner_of(settings), Route(path.points(30_000.0))
 
     def follow(time: float, wing: Flying, turning: float) -> tuple[float, float]:
         turned = about(2, cmath.phase(wing.through_air))[:2, :2]

@@ -115,7 +115,7 @@ def default_context():
 
     get_default_context(shutting_down=True)
     yield get_default_context()
-    get_default_context(shutting_down=True)
+    get_default_context(shutting_down=True).try_shutdown()
 
 
 @pytest.fixture

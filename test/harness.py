@@ -133,8 +133,10 @@ class Observer:
 
         self.domain = domain
         self._stack = contextlib.ExitStack()
-        attaching = attached('observer', domain=domain, executor=executor, enable_rosout=False)
-        self.node, self._executor = self._stack.enter_context(attaching)
+        attaching = attached('observer', executor, enable_rosout=False)
+        given = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
+        with mock.patch.dict(os.environ, given):
+            self.node, self._executor = self._stack.enter_context(attaching)
         self._subscriptions: dict[str, Any] = {}
 
     def close(self) -> None:

@@ -21,10 +21,11 @@ from std_msgs.msg import Bool
 
 from orbimpc_ros.loop.compensation import Odometry as Measured
 from orbimpc_ros.mpc.geometry.rotations import exp, to_quaternion
-from orbimpc_ros.ros import firmware, messages
-from orbimpc_ros.ros.firmware import TOPICS
+from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp, header
+from orbimpc_ros.ros.planner import wings
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.ros.topics import AUTOPILOTS
 
 PERIOD = 1.0 / 30.0  # [s] between messages of an autopilot
 
@@ -77,7 +78,7 @@ class Rover(Autopilot):
     in_mode = True
 
     def connect(self, name):
-        self.frame, self.topics = FRAMES[name], dict(TOPICS[name])
+        self.frame, self.topics = FRAMES[name], dict(AUTOPILOTS[name])
         self.halves = 'pose' in self.topics
         kinds = {'pose': PoseStamped, 'twist': TwistStamped} if self.halves else {'odom': Odometry}
         self.said = {
@@ -146,7 +147,7 @@ def test_an_autopilot_that_is_not_engaged_is_told_nothing(launch, observer):
     until_planned(20)
     assert len(rover.commands) == before
     assert rover.planner.stop() == 0
-    topic = TOPICS['ardupilot']['cmd_vel']
+    topic = AUTOPILOTS['ardupilot']['cmd_vel']
     observer.until(lambda: not observer.node.count_publishers(topic), 'its end')
     assert len(rover.commands) == before  # nor is there a last one at the end
     for words in ('engaged: commands', 'not engaged: silent'):
@@ -197,7 +198,7 @@ class Wing(Autopilot):
     def motion(self, now):
         """Return position, velocity over ground, and attitude, in ROS's axes."""
         level = exp(np.array([0.0, 0.0, TURN * (now - self.begun)]))
-        bank = exp(np.array([-math.atan(TURN * AIRSPEED / firmware.GRAVITY), 0.0, 0.0]))
+        bank = exp(np.array([-math.atan(TURN * AIRSPEED / wings.GRAVITY), 0.0, 0.0]))
         radius, blown = AIRSPEED / TURN, np.append(WIND, 0.0)
         circle = radius * (np.array([0.0, 1.0, 0.0]) - level[:, 1])
         place = circle + (now - self.begun) * blown + [0.0, 0.0, 100.0]
@@ -228,9 +229,9 @@ class Px4(Wing):
     def measured(self, now, place, velocity, rotation):
         types, at = self.types, round(1e6 * now)
         known = {'xy_valid': True, 'v_xy_valid': True, 'z_global': True, 'ref_alt': 200.0}
-        ned = dict(zip('xyz', map(float, firmware.NED @ place), strict=True))
-        speeds = dict(zip(('vx', 'vy', 'vz'), map(float, firmware.NED @ velocity), strict=True))
-        unit = to_quaternion(firmware.NED @ rotation @ firmware.FRD).astype(np.float32)
+        ned = dict(zip('xyz', map(float, wings.NED @ place), strict=True))
+        speeds = dict(zip(('vx', 'vy', 'vz'), map(float, wings.NED @ velocity), strict=True))
+        unit = to_quaternion(wings.NED @ rotation @ wings.FRD).astype(np.float32)
         east, north = WIND
         return (
             types.VehicleAttitude(timestamp_sample=at, q=unit),
@@ -276,7 +277,7 @@ class ArduPlane(Wing):
         wind = TwistWithCovarianceStamped(header=header(stamp.nanoseconds, ''))
         wind.twist.twist.linear.x, wind.twist.twist.linear.y = WIND.tolist()
         wind.twist.covariance[0] = -1.0  # unknown, as from MAVROS with ArduPilot
-        share = firmware.equivalent(1000.0)
+        share = wings.equivalent(1000.0)
         return (
             self.types.VfrHud(airspeed=share * AIRSPEED, altitude=1000.0),
             wind,

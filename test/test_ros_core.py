@@ -43,7 +43,7 @@ class Driven(OfflinePlanner):
 
     def __init__(self, simulated=False, limits=None, **changes):
         given = settings(**{'step': 0.1} | changes)
-        Core.__init__(self, *planner_of(given), simulated=simulated, **(limits or {}))
+        Core.__init__(self, given, planner_of(given), simulated=simulated, **(limits or {}))
 
     def odometry(self, at, now, position=(0.0, 0.0)):
         self.sense(now, odometry(position), at)

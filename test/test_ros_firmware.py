@@ -2,6 +2,7 @@
 """Autopilots of wings in plain numbers: round trips of axes, setpoints as firmwares read them."""
 
 import math
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from orbimpc_ros.loop.compensation import Compensator, Odometry, WindReport
 from orbimpc_ros.mpc.geometry.rotations import exp, from_quaternion, to_quaternion
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.ros import firmware
-from orbimpc_ros.ros.firmware import Setpoint
+from orbimpc_ros.ros.planner import wings
+from orbimpc_ros.ros.planner.wings import ArduPlane, Px4, Setpoint
 
 DRAWS = 2_000
 EAST, NORTH, UP = np.eye(3)
@@ -31,6 +32,17 @@ def drawn(rng):
     )
 
 
+def sent(wanted, share, origin):
+    """Return the fields of both messages to PX4, and of the commands to ArduPlane."""
+    px4, arduplane, told = Px4.__new__(Px4), ArduPlane.__new__(ArduPlane), []
+    px4._types, px4._share, px4._origin = MagicMock(), share, origin
+    px4._tell = lambda _kind, **fields: told.append(fields)
+    px4._publish(wanted)
+    arduplane._share, arduplane._due, arduplane._ask = share, [], lambda: None
+    arduplane._publish(wanted)
+    return *told, arduplane._due
+
+
 def same(one, other):
     return np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6)
 
@@ -39,20 +51,20 @@ def test_axes_and_attitudes_there_and_back(rng):
     for _ in range(DRAWS):
         vector, unit = rng.normal(scale=100.0, size=3), rng.normal(size=4)
         unit /= np.linalg.norm(unit)
-        same(firmware.NED @ firmware.NED @ vector, vector)
-        same(firmware.FRD @ firmware.FRD @ vector, vector)
-        rotation = firmware.attitude(unit)
-        back = to_quaternion(firmware.NED @ rotation @ firmware.FRD)
+        same(wings.NED @ wings.NED @ vector, vector)
+        same(wings.FRD @ wings.FRD @ vector, vector)
+        rotation = wings.attitude(unit)
+        back = to_quaternion(wings.NED @ rotation @ wings.FRD)
         same(back * math.copysign(1.0, back @ unit), unit)
         # A body vector maps to the same world vector in both conventions of axes.
-        of_body = from_quaternion(unit, 3) @ (firmware.FRD @ vector)
-        same(rotation @ vector, firmware.NED @ of_body)
+        of_body = from_quaternion(unit, 3) @ (wings.FRD @ vector)
+        same(rotation @ vector, wings.NED @ of_body)
 
 
 def test_setpoints_there_and_back(rng):
     for _ in range(DRAWS):
         wanted, share, origin = drawn(rng), rng.uniform(0.7, 1.0), rng.uniform(-50.0, 900.0)
-        across, along = firmware.lateral(wanted), firmware.longitudinal(wanted, share, origin)
+        across, along, commands = sent(wanted, share, origin)
         # Ranges that the firmwares accept.
         assert -math.pi <= across['airspeed_direction'] <= math.pi
         assert math.isnan(across['course'])  # unused: a finite direction takes precedence
@@ -60,18 +72,18 @@ def test_setpoints_there_and_back(rng):
         assert all(math.isnan(along[name]) for name in names)
         airspeed = along['equivalent_airspeed'] / share
         turn = -across['lateral_acceleration'] / airspeed
-        heading = firmware.bearing(across['airspeed_direction'])
+        heading = wings.bearing(across['airspeed_direction'])
         same(math.remainder(heading - wanted.heading, 2.0 * math.pi), 0.0)
         same([airspeed, turn], [wanted.airspeed, wanted.turn])
         same(along['altitude'] - origin, wanted.altitude)
-        heading, speed, *height = firmware.guided(wanted, share)
+        heading, speed, *height = commands
         assert 0.0 <= heading['param2'] < 360.0
-        assert heading['param3'] >= firmware.HOLD  # with 0 the vehicle would not bank
+        assert heading['param3'] >= wings.HOLD  # with 0 the vehicle would not bank
         assert bool(height) == math.isfinite(wanted.altitude)  # otherwise the altitude is held
         same(speed['param2'] / share, wanted.airspeed)
         same([each['z'] for each in height], [wanted.altitude][: len(height)])
-        ahead = firmware.AHEAD * wanted.airspeed * wanted.turn / firmware.GRAVITY
-        found = firmware.bearing(math.radians(heading['param2'])) - ahead
+        ahead = wings.AHEAD * wanted.airspeed * wanted.turn / wings.GRAVITY
+        found = wings.bearing(math.radians(heading['param2'])) - ahead
         same(math.remainder(found - wanted.heading, 2.0 * math.pi), 0.0)
 
 
@@ -79,38 +91,38 @@ def test_setpoints_there_and_back(rng):
     ('angle', 'compass'), [(0.0, 90.0), (90.0, 0.0), (180.0, -90.0), (-90.0, 180.0), (45.0, 45.0)]
 )
 def test_a_bearing_is_that_of_a_compass(angle, compass):
-    found = math.degrees(firmware.bearing(math.radians(angle)))
+    found = math.degrees(wings.bearing(math.radians(angle)))
     assert math.remainder(found - compass, 360.0) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize('bank', [-0.5, 0.3])
 def test_a_bank_to_the_right_turns_to_the_right(bank):
     half = 0.5 * bank  # FRD: a rotation to the right about x
-    banked = firmware.attitude(np.array([math.cos(half), math.sin(half), 0.0, 0.0]))
-    turn = firmware.coordinated(banked, 20.0)
-    assert turn == pytest.approx(-firmware.GRAVITY * math.tan(bank) / 20.0)
+    banked = wings.attitude(np.array([math.cos(half), math.sin(half), 0.0, 0.0]))
+    turn = wings.coordinated(banked, 20.0)
+    assert turn == pytest.approx(-wings.GRAVITY * math.tan(bank) / 20.0)
 
 
 def test_the_heading_of_a_setpoint_is_that_of_the_next_command():
     rate = np.array([0.4])
     command = Command(0.8, rate, exp(0.5 * rate))  # a step of 0.5 s, from heading 0
-    wanted = firmware.setpoint(command, 15.0, 0.5, 0.1)
+    wanted = wings.setpoint(command, 15.0, 0.5, 0.1)
     same([wanted.airspeed, wanted.heading, wanted.turn], [12.0, 0.04, 0.4])
 
 
 def test_the_air_is_thinner_higher_up():
-    assert firmware.equivalent(0.0) == 1.0
-    assert firmware.equivalent(1000.0) == pytest.approx(0.9529, abs=1e-3)  # standard atmosphere
+    assert wings.equivalent(0.0) == 1.0
+    assert wings.equivalent(1000.0) == pytest.approx(0.9529, abs=1e-3)  # standard atmosphere
 
 
 def test_the_velocity_through_the_air_is_of_what_is_known():
     turned, unknown = np.eye(3), np.full(2, math.nan)
     over_ground, wind = np.array([18.0, 3.0, 0.0]), np.array([3.0, 3.0])
-    found = firmware.through_air(over_ground, turned, math.nan, wind)
+    found = wings.through_air(over_ground, turned, math.nan, wind)
     same(found, [15.0, 0.0, 0.0])
-    same(firmware.through_air(over_ground, turned, 16.0, wind), [16.0, 0.0, 0.0])
-    same(firmware.through_air(over_ground, turned, 16.0, unknown), [16.0, 0.0, 0.0])
-    assert firmware.through_air(over_ground, turned, math.nan, unknown) is None
+    same(wings.through_air(over_ground, turned, 16.0, wind), [16.0, 0.0, 0.0])
+    same(wings.through_air(over_ground, turned, 16.0, unknown), [16.0, 0.0, 0.0])
+    assert wings.through_air(over_ground, turned, math.nan, unknown) is None
 
 
 # --- reported wind

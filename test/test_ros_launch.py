@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from harness import python
 
-from orbimpc_ros.ros.firmware import TOPICS
+from orbimpc_ros.ros.topics import AUTOPILOTS
 
 FILES = sorted((Path(__file__).resolve().parents[1] / 'launch').glob('*.launch.py'))
 FLIGHTS = [file for file in FILES if file.stem not in ('fleet.launch', 'vehicle.launch')]
@@ -34,8 +34,8 @@ sys.exit(service.run())
 def test_every_scenario_can_be_launched():
     configs = FILES[0].parents[1] / 'config'
     by_demo = {'crossing'}  # each of its vehicles avoids the others
-    launched = {f.name.split('.')[0] for f in FILES} - {'vehicle', 'flight'} | set(TOPICS) | by_demo
-    assert launched == {f.stem for f in configs.glob('*.yaml')}
+    launched = {f.name.split('.')[0] for f in FILES} - {'vehicle', 'flight'} | by_demo
+    assert launched | set(AUTOPILOTS) == {f.stem for f in configs.glob('*.yaml')}
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_a_planner_takes_the_topics_of_its_autopilot(launched):
     from launch.utilities import perform_substitutions
 
     description = launched(FILES[0].parent / 'vehicle.launch.py')
-    for name, topics in TOPICS.items():
+    for name, topics in AUTOPILOTS.items():
         (node,), context = nodes_of(description, autopilot=name)
         assert node.node_executable == 'planner'
         told = [

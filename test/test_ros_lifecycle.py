@@ -3,6 +3,7 @@
 
 import itertools
 import json
+from functools import partial
 
 import pytest
 from lifecycle_msgs.msg import Transition
@@ -16,7 +17,8 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.process import Managed, initialised
+from orbimpc_ros.ros.parameters.spec import PROCESS, ProcessParameters, settings_from
+from orbimpc_ros.ros.process import Managed
 
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
 DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP
@@ -202,9 +204,11 @@ def test_a_managed_simulator_stands_still_and_flies_again(launch, observer):
 class Worker(Managed):
     """A node that fails in selected transitions."""
 
+    kind, specs = 'worker', PROCESS
+    settings_of = partial(settings_from, ProcessParameters)
+
     def __init__(self):
-        super().__init__('worker')
-        self.declare_parameter('autostart', value=True)
+        super().__init__()
         self.failing, self.done = {}, []
 
     def _do(self, what):
@@ -228,10 +232,10 @@ class Worker(Managed):
 
 @pytest.fixture
 def worker(domain, default_context):
-    with initialised(domain=domain, context=default_context):
-        node = Worker()
-        yield node
-        node.destroy_node()
+    default_context.init(domain_id=domain)
+    node = Worker()
+    yield node
+    node.destroy_node()
 
 
 def endpoints(node):

@@ -11,7 +11,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from planners import FRAMES
+from planners import FRAMES, settings
 from stepping import launched
 
 from orbimpc_ros.mpc.errors import BadInput
@@ -85,7 +85,7 @@ def test_a_body_that_pushes_along_z_is_turned_on_the_way_in_and_back_on_the_way_
                 wanted = attrgetter(f'{part}.{axis}')(message)
                 assert attrgetter(f'{part}.{axis}')(again) == pytest.approx(wanted, abs=1e-12)
         command = Command(0.5, np.zeros(3), odometry.attitude)
-        sent = messages.rotation_message(stamp, command).quaternion
+        sent = dict(messages.command_messages(settings(), stamp, command))['rotation'].quaternion
         same = messages.quaternion(own)
         for axis in 'wxyz':
             assert getattr(sent, axis) == pytest.approx(getattr(same, axis), abs=1e-9)

@@ -4,7 +4,6 @@
 import math
 import re
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from test_ros_outputs import LANDER
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.problem import weighed
-from orbimpc_ros.ros.parameters.dynamic import unused
+from orbimpc_ros.ros.parameters.given import unused
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
 from orbimpc_ros.ros.parameters.spec import completed
 from orbimpc_ros.sim.parameters import SIM, sim_settings
@@ -182,13 +181,12 @@ def test_parameters_that_no_node_takes_are_told(tmp_path, monkeypatch, name, sec
     """Otherwise a misspelt name would silently mean the defaults."""
     file = tmp_path / 'params.yaml'
     file.write_text(SECTIONS)
-    node = SimpleNamespace(kind='planner', get_fully_qualified_name=lambda: name)
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'step:=1.0', '-p', OWN]
     monkeypatch.setattr(sys, 'argv', words)
     told = [*(f'section {each} in {file}' for each in sections), *(f'-p {each}' for each in rules)]
-    assert unused(node) == told
+    assert unused(name, 'planner') == told
     monkeypatch.setattr(sys, 'argv', ['planner'])
-    assert unused(node) == []
+    assert unused(name, 'planner') == []
 
 
 def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_path):

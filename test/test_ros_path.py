@@ -20,7 +20,6 @@ from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.ros.planner import node as planner_node
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.ros.planner.node import PlannerNode
-from orbimpc_ros.ros.process import initialised
 
 PACKAGE = ROOT / 'orbimpc_ros'
 # From odometry to its command, in the retrieval: files on the path, calls from one file to another,
@@ -54,10 +53,10 @@ def unconfigured(domain, default_context):
     """The planner's node in this process, with the parameters of the retrieval."""
     file = ROOT / 'config' / 'retrieval.yaml'
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'use_sim_time:=false']
-    with initialised(words, domain=domain, context=default_context):
-        node = PlannerNode()
-        yield node
-        node.destroy_node()
+    default_context.init(words, domain_id=domain)
+    node = PlannerNode()
+    yield node
+    node.destroy_node()
 
 
 @pytest.fixture

@@ -17,17 +17,17 @@ from orbimpc_ros.sim.parameters import SIM
 
 BROKEN = """
     import sys, time
+    from functools import partial
     from rclpy.impl.implementation_singleton import rclpy_implementation
     from std_msgs.msg import Bool
     from orbimpc_ros.mpc.errors import BadInput
     from orbimpc_ros.ros import process
+    from orbimpc_ros.ros.parameters.spec import PROCESS, ProcessParameters, settings_from
     from orbimpc_ros.ros.process import Managed
 
     class Broken(Managed):
-        def __init__(self):
-            super().__init__('broken')
-            self.declare_parameter('autostart', True)
-            self.declare_parameter('executor', 'wait_set')
+        kind, specs = 'broken', PROCESS
+        settings_of = partial(settings_from, ProcessParameters)
 
         def configure(self):
             self.create_publisher(Bool, 'one', 1)
@@ -46,7 +46,7 @@ BROKEN = """
             raise rclpy_implementation.RCLError('cannot delete data')
 
     process.LAST_RESORT = process.LAST_RESORT if {hanging} == 0.0 else 1.0
-    sys.exit(process.run(Broken, 'broken', ()))
+    sys.exit(process.run(Broken))
 """
 
 
@@ -133,8 +133,8 @@ WITHOUT_ROS = """
 
 
 def test_without_ros_what_needs_it_is_skipped_and_the_rest_is_tested():
-    words = '--collect-only', '-rs', 'test/test_ros_path.py', 'test/test_ros_firmware.py'
+    words = '--collect-only', '-rs', 'test/test_ros_path.py', 'test/test_mpc_limits.py'
     done = python(WITHOUT_ROS, *words, cwd=ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert 'test_ros_firmware.py::test_axes' in done.stdout
+    assert 'test_mpc_limits.py::test_' in done.stdout
     assert 'needs ROS 2, or pip install' in done.stdout

@@ -18,11 +18,10 @@ from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.messages import Frames, Stamp, stamp_of
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.simulation import Orders
-from orbimpc_ros.tool.bags import stamp_of
 from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 
 DISTURBED = {

@@ -17,11 +17,11 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from visualization_msgs.msg import Marker, MarkerArray
 
+from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.messages import SECOND, header
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.topics import topics_of
-from orbimpc_ros.tool import bags
 from orbimpc_ros.tool.demo import Recorder
 
 STARTER = """
@@ -153,11 +153,11 @@ def stamped(seconds, nanoseconds=0):
         (stamped(5, 7), 5 * SECOND + 7),
         (MarkerArray(markers=[Marker(header=stamped(5, 7).header)]), 5 * SECOND + 7),
         (Clock(clock=stamped(5, 7).header.stamp), 5 * SECOND + 7),
-        (MarkerArray(), bags.UNDATED),
-        (Bool(), bags.UNDATED),
-        (stamped(-1), bags.UNDATED),
-        (stamped(3, SECOND), bags.UNDATED),
+        (MarkerArray(), messages.UNDATED),
+        (Bool(), messages.UNDATED),
+        (stamped(-1), messages.UNDATED),
+        (stamped(3, SECOND), messages.UNDATED),
     ],
 )
 def test_a_message_goes_under_the_stamp_it_carries_if_that_is_one(message, stamp):
-    assert bags.stamp_of(message) == stamp
+    assert messages.stamp_of(message) == stamp

@@ -14,13 +14,14 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.utilities import get_default_context
 
-from orbimpc_ros.ros.process import LATEST, executor_named, initialised, qos
+from orbimpc_ros.ros.process import LATEST, executor_named, qos
 from orbimpc_ros.tool.processes import interruptions
 
 
 def main() -> None:
     """Echo until a signal arrives."""
-    with interruptions() as received, initialised(sys.argv, context=get_default_context()):
+    get_default_context().init(sys.argv)  # unlike rclpy.init, it handles no signals
+    with interruptions() as received:
         node = rclpy.create_node('echo', automatically_declare_parameters_from_overrides=True)
         commands = node.create_publisher(TwistStamped, 'cmd_vel', qos())
 
@@ -33,6 +34,7 @@ def main() -> None:
         executor.add_node(node)
         while not received:
             executor.spin_once(timeout_sec=0.05)
+    rclpy.try_shutdown()
 
 
 if __name__ == '__main__':

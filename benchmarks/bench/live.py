@@ -28,10 +28,10 @@ from benchmarks.session import PLANNER, Session
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import Frames, Stamp
+from orbimpc_ros.ros.messages import Frames, Stamp, stamp_of
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.sim.vehicle import measured
-from orbimpc_ros.tool.bags import fields, stamp_of
+from orbimpc_ros.tool.bags import fields
 
 FRAMES = Frames('odom', 'base_link')
 POINTS = 100  # ticks of the replayed flight around the rope

@@ -8,6 +8,9 @@ on input and rotated back on output, only in this module. Covariances are read o
 drivers set NaN there for "unknown", which is harmless. In the plane (n = 2), poses lie at z = 0 and
 turn about z.
 
+A ``move`` is the matrix, shape (4, 4), from the frame of a message to the required one, by which
+its poses are transformed; without one, it has to be in that frame.
+
 A body covers at least its marker on ``obstacles``. Cubes and cylinders become their bounding boxes,
 in the plane cylinders become discs, like spheres. An ellipsoid counts with its longest axis. In the
 plane, bodies are seen from above.
@@ -18,6 +21,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
@@ -61,6 +65,7 @@ STEEPEST = 1e-3  # in the plane: least horizontal component of a body x axis wit
 LONGEST_PATH = 10_000  # poses
 LONGEST_FRAME = 256  # characters
 SECOND = 1_000_000_000  # [ns]
+UNDATED = -1  # [ns], for a missing stamp
 POSE_TWIST = ('pose', 'twist')  # topics of odometry in two halves
 APART = SECOND // 10  # [ns] largest difference between a pose and its twist
 PAIRED = 20  # messages after two with equal stamps, in which others are expected
@@ -131,6 +136,18 @@ def nanoseconds(stamp: Time | Duration, culprit: str) -> int:
     return stamp.sec * SECOND + stamp.nanosec
 
 
+def stamp_of(message: Any) -> int:
+    """Return a message's own stamp [ns]; :data:`UNDATED` without a valid one.
+
+    This is the stamp of its header or of its first marker, or the time of ``/clock``.
+    """
+    for part in getattr(message, 'markers', [message])[:1]:
+        stamp = part.header.stamp if hasattr(part, 'header') else getattr(part, 'clock', None)
+        with suppress(BadInput):
+            return UNDATED if stamp is None else nanoseconds(stamp, 'stamp')
+    return UNDATED
+
+
 def read_odometry(
     message: OdometryMessage, dimension: int, frames: Frames
 ) -> tuple[Stamp, Odometry]:
@@ -159,30 +176,31 @@ def read_odometry(
 
 
 def read_sighting(
-    message: PoseStamped, dimension: int, frames: Frames
+    message: PoseStamped, dimension: int, frames: Frames, move: Array | None = None
 ) -> tuple[Stamp, GoalObservation]:
     """Return stamp, position and attitude of a goal's PoseStamped."""
-    at, place, unit = _seen(message, dimension, frames.world)
+    at = _stamp(message.header, frames.world if move is None else '')
+    place, unit = _placed(message.pose, move)
     attitude = _attitude(unit, dimension, frames)
-    return at, GoalObservation(at.nanoseconds / SECOND, place, attitude)
+    return at, GoalObservation(at.nanoseconds / SECOND, place[:dimension], attitude)
 
 
 def read_itinerary(
-    message: Path, dimension: int, frames: Frames
+    message: Path, dimension: int, frames: Frames, move: Array | None = None
 ) -> tuple[Stamp, GoalTrajectory | Route]:
     """Return the stamp and the stamped positions of a goal's Path, with the last attitude.
 
     Several positions without any stamps are a path to follow.
     """
-    at = _stamp(message.header, frames.world)
+    at = _stamp(message.header, frames.world if move is None else '')
     if not 1 <= len(message.poses) <= LONGEST_PATH:
         raise BadInput('poses', f'{len(message.poses)} poses', f'1 to {LONGEST_PATH}')
-    seen = [_seen(pose, dimension, '') for pose in message.poses]
-    times = np.array([stamp.nanoseconds / SECOND for stamp, _, _ in seen])
-    places = np.array([place for _, place, _ in seen])
+    times = np.array([_stamp(each.header, '').nanoseconds / SECOND for each in message.poses])
+    seen = [_placed(each.pose, move) for each in message.poses]
+    places = np.array([place[:dimension] for place, _ in seen])
     if len(seen) > 1 and not times.any():
         return at, Route(places)
-    return at, GoalTrajectory(times, places, _attitude(seen[-1][2], dimension, frames))
+    return at, GoalTrajectory(times, places, _attitude(seen[-1][1], dimension, frames))
 
 
 def read_wind(
@@ -196,9 +214,11 @@ def read_wind(
     return at, WindReport(at.nanoseconds / SECOND, velocity, known)
 
 
-def read_agent(message: Path, dimension: int, frames: Frames) -> tuple[Stamp, AgentTrajectory]:
+def read_agent(
+    message: Path, dimension: int, frames: Frames, move: Array | None = None
+) -> tuple[Stamp, AgentTrajectory]:
     """Return the stamp and the trajectory of another vehicle's plan."""
-    at, itinerary = read_itinerary(message, dimension, frames)
+    at, itinerary = read_itinerary(message, dimension, frames, move)
     if isinstance(itinerary, Route):
         raise BadInput('poses', 'without stamps', 'stamps that increase')
     return at, AgentTrajectory(at.nanoseconds / SECOND, itinerary.times, itinerary.positions)
@@ -227,11 +247,15 @@ def read_transform(message: Transform, name: str) -> tuple[Array, Array]:
         raise BadInput.stating('invalid transform', problem, 'publish a valid one') from None
 
 
-def _seen(message: PoseStamped, dimension: int, frame: str) -> tuple[Stamp, Array, Array]:
-    """Return stamp, position and unit quaternion of a goal's PoseStamped."""
-    at = _stamp(message.header, frame)
-    unit = _quaternion(message.pose.orientation, 'pose.orientation')
-    return at, _triple(message.pose.position, 'pose.position')[:dimension], unit
+def _placed(pose: Pose, move: Array | None) -> tuple[Array, Array]:
+    """Return position, shape (3,) [m], and unit quaternion (w, x, y, z) of a pose, moved."""
+    unit = _quaternion(pose.orientation, 'pose.orientation')
+    place = _triple(pose.position, 'pose.position')
+    if move is not None:
+        turn, shift = move[:3, :3], move[:3, 3]
+        unit = to_quaternion(turn @ from_quaternion(unit, 3))
+        place = _triple(vector(turn @ place + shift), 'pose.position')
+    return place, unit
 
 
 def _stamp(header: Header, frame: str) -> Stamp:
@@ -369,13 +393,6 @@ def wrench_message(stamp: Stamp, force: float) -> WrenchStamped:
     return WrenchStamped(header=header(stamp.nanoseconds, stamp.frames.body), wrench=wrench)
 
 
-def rotation_message(stamp: Stamp, command: Command) -> QuaternionStamped:
-    """Return the attitude commanded for the next step, in the world frame."""
-    head = header(stamp.nanoseconds, stamp.frames.world)
-    own = stamp.frames.own(command.rotation)
-    return QuaternionStamped(header=head, quaternion=quaternion(own))
-
-
 def command_messages(
     settings: Any, stamp: Stamp, command: Command, *, oriented: bool = True
 ) -> Iterator[tuple[str, Any]]:
@@ -389,8 +406,9 @@ def command_messages(
     if inertial:
         yield 'cmd_thrust', wrench_message(stamp, settings.mass * given)
     yield 'cmd_vel', twist_message(stamp, 0.0 if inertial else given, command.body_rate)
-    if oriented:
-        yield 'rotation', rotation_message(stamp, command)
+    if oriented:  # in the world frame, at the end of the next step
+        head, turned = header(stamp.nanoseconds, frames.world), frames.own(command.rotation)
+        yield 'rotation', QuaternionStamped(header=head, quaternion=quaternion(turned))
     if settings.hover_thrust:
         share = pushing(settings.hover_thrust * given / settings.gravity, frames)
         yield 'thrust', Vector3Stamped(header=header(stamp.nanoseconds, frames.body), vector=share)
@@ -469,12 +487,12 @@ def read_obstacle(
     marker: Marker,
     dimension: int,
     frames: Frames,
-    placed: Callable[[Any], Any] = lambda marker: marker,
+    move_of: Callable[[Header], Array | None] = lambda _header: None,
 ) -> tuple[Stamp, ObservedBody] | str | None:
     """Return the body shown by a marker, with its stamp, or what the marker removes.
 
-    The latter is the name of a body, or None for all bodies. ``placed`` transforms a message with
-    header and pose to the required frame.
+    The latter is the name of a body, or None for all bodies. ``move_of`` finds the move of a
+    header.
     """
     if marker.action == Marker.DELETEALL:
         return None
@@ -492,17 +510,11 @@ def read_obstacle(
     if not ((sizes > 0.0) & (sizes <= LARGEST)).all():  # also refuses NaN
         raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {LARGEST:g}')
     # It has the header and pose of a sighting, but no thrust axis.
-    stamp, seen = read_sighting(placed(marker), 3, Frames(frames.world))
+    stamp, seen = read_sighting(marker, 3, Frames(frames.world), move_of(marker.header))
     assert seen.attitude is not None
     body = _body(marker.type, seen.position, seen.attitude, sizes, dimension)
     lasting = nanoseconds(marker.lifetime, 'lifetime') / SECOND or math.inf  # 0: for ever
     return stamp, ObservedBody(name, seen.time, body, lasting)
-
-
-def stamp_of(message: MarkerArray) -> int:
-    """Return the unchecked stamp of the first marker [ns]; 0 without any."""
-    first = next(iter(message.markers), None)
-    return 0 if first is None else first.header.stamp.sec * SECOND + first.header.stamp.nanosec
 
 
 def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) -> Box | Ball:

@@ -25,11 +25,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import dropwhile, pairwise
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.context import Context
@@ -48,7 +50,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.entry import BAD_INPUT, DONE, SIGNALS, leave_at_signals
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.spec import ParameterSpec
+from orbimpc_ros.ros.parameters.given import refuse_unknown, unused
+from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values, completed
 
 ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
 HELD_UP = 0.05  # [s] between readings of two clocks, above which they are not compared
@@ -56,23 +59,36 @@ FAILURES_IN_A_ROW = 5  # failures of one callback, after which the node gives up
 
 
 class Managed(LifecycleNodeMixin, Node):
-    """A node with a life cycle and guarded callbacks.
+    """A node with parameters of a table, a life cycle and guarded callbacks.
 
-    A subclass declares its parameters on construction, and implements ``configure``, ``activate``,
+    A subclass has the table of its parameters, and implements ``configure``, ``activate``,
     ``deactivate`` and ``safe``. Endpoints created while it is configured are destroyed when that
     state ends, for whatever reason.
 
+    Args:
+        forced: parameters that cannot be given otherwise.
+
     Attributes:
         kind: its name unless it is remapped.
+        specs: the table of its parameters, which are checked and changed as a whole.
+        settings_of: makes settings of the values of all parameters, or raises BadInput.
+        given: values given at the start, by parameter.
+        settings: made of the present values of all parameters.
         exit_code: once not None, the process ends with it.
         steady: a clock that neither jumps nor stops, for all monitoring.
         failures: number of failed callbacks so far.
         active: whether it is active; callbacks made by :meth:`at_work` do nothing otherwise.
+
+    Raises:
+        BadInput: a parameter is unknown or its value is not allowed.
     """
 
-    def __init__(self, name: str, parameters: Sequence[Parameter] = ()) -> None:
-        Node.__init__(self, name, parameter_overrides=list(parameters))
-        self.kind = name
+    kind: ClassVar[str]
+    specs: ClassVar[Sequence[ParameterSpec]]
+    settings_of: ClassVar[staticmethod[[Values], Any]]
+
+    def __init__(self, *forced: Parameter) -> None:
+        Node.__init__(self, self.kind, parameter_overrides=list(forced))
         self.exit_code: int | None = None
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.failures = 0
@@ -83,8 +99,12 @@ class Managed(LifecycleNodeMixin, Node):
         LifecycleNodeMixin.__init__(self)
         self._change: Callable[[Any, Any], Any] = self._service_change_state.callback
         self._service_change_state.callback = self.guard(self._on_change_state)
+        self._take_parameters()
 
     # --- for subclasses to implement
+
+    def install(self) -> None:
+        """Work with changed settings."""
 
     def configure(self) -> None:
         """Create everything needed for work.
@@ -101,6 +121,38 @@ class Managed(LifecycleNodeMixin, Node):
 
     def safe(self, reason: Reason) -> None:
         """Perform the safe action now; called on shutdown and after every failure."""
+
+    # --- parameters
+
+    def _take_parameters(self) -> None:
+        """Declare the parameters with the values given for them, if these are allowed."""
+        self.given = {name: each.value for name, each in self._parameter_overrides.items()}
+        refuse_unknown(self.given, self.specs)
+        self._values = completed(self.specs, self.given)
+        self._values['use_sim_time'] = self.get_parameter('use_sim_time').value
+        self.settings = self.settings_of(self._values)
+        for spec in self.specs:
+            self.declare_parameter(spec.name, self._values[spec.name], spec.descriptor)
+        self.add_on_set_parameters_callback(self._on_set)
+        self.add_post_set_parameters_callback(self._on_changed)
+        full = self.get_fully_qualified_name()
+        for lost in unused(full, self.kind):
+            self.get_logger().warning(f'{lost} is not for {full}: not used')
+
+    def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
+        values = self._values | {each.name: each.value for each in changes}
+        try:
+            if values['use_sim_time'] != self._values['use_sim_time']:
+                raise BadInput('use_sim_time', values['use_sim_time'], 'set at the start only')
+            self.settings_of(values)
+        except Exception as error:  # an exception would let remote callers end the node
+            return SetParametersResult(successful=False, reason=_said(error))
+        return SetParametersResult(successful=True)
+
+    def _on_changed(self, changes: list[Parameter]) -> None:
+        self._values |= {each.name: each.value for each in changes}
+        self.settings = self.settings_of(self._values)
+        self.install()
 
     # --- callbacks
 
@@ -166,7 +218,7 @@ class Managed(LifecycleNodeMixin, Node):
         Raises:
             BaseException: any error of these transitions.
         """
-        if not self.get_parameter('autostart').value:
+        if not self.settings.autostart:
             self.get_logger().info('unconfigured: waits for ~/change_state')
             return
         self._error = None
@@ -251,9 +303,13 @@ class Managed(LifecycleNodeMixin, Node):
         self._error = None
         answer = self._change(request, response)
         if self._error is not None:
-            kind = '' if isinstance(self._error, BadInput) else f'{type(self._error).__name__}: '
-            self.get_logger().error(f'{wanted} failed: {kind}{self._error}')
+            self.get_logger().error(f'{wanted} failed: {_said(self._error)}')
         return answer
+
+
+def _said(error: BaseException) -> str:
+    """Return an error in words, with its type unless it is bad input."""
+    return str(error) if isinstance(error, BadInput) else f'{type(error).__name__}: {error}'
 
 
 class NodeClock:
@@ -359,40 +415,19 @@ def full_name(endpoint: Any) -> str:
 
 
 @contextmanager
-def initialised(
-    words: Sequence[str] = (), *, domain: int | None = None, context: Context | None = None
-) -> Iterator[Context]:
-    """Keep a context of rclpy initialised within the block; signals are left to the caller.
-
-    By default it is a new one, so that several can coexist, with the ``domain`` of DDS from the
-    environment; ``words`` is a command line with ROS arguments.
-    """
-    context = context or Context()
-    context.init(list(words), domain_id=domain)  # unlike rclpy.init, it handles no signals
-    try:
-        yield context
-    finally:
-        context.try_shutdown()
-
-
-@contextmanager
 def attached(
-    name: str, *, domain: int | None = None, executor: str = 'wait_set', **options: Any
+    name: str, executor: str = 'wait_set', **options: Any
 ) -> Iterator[tuple[Node, Executor]]:
     """Yield a node with its own context, and its executor, for processes other than ROS nodes.
 
-    The ``domain`` of DDS is by default from the environment; ``options`` are those of
-    ``rclpy.create_node``.
+    ``options`` are those of ``rclpy.create_node``.
     """
-    with initialised(domain=domain) as context:
+    with Context() as context, ExitStack() as stack:
         node = rclpy.create_node(name, context=context, **options)
-        spinning = executor_named(executor, context)
+        stack.callback(node.destroy_node)
+        spinning = stack.enter_context(executor_named(executor, context))
         spinning.add_node(node)
-        try:
-            yield node, spinning
-        finally:
-            spinning.shutdown()
-            node.destroy_node()
+        yield node, spinning
 
 
 def executor_named(name: str, context: Context | None = None) -> Executor:
@@ -411,29 +446,31 @@ def executor_named(name: str, context: Context | None = None) -> Executor:
     return EventsExecutor(context=context)
 
 
-def run(make: Callable[[], Managed], name: str, specs: Sequence[ParameterSpec]) -> int:
+def run(node_type: type[Managed]) -> int:
     """Run a node until it is done or stopped, and return the exit code.
 
     A signal during the start ends the process at once: no command has been sent yet. BadInput from
-    ``make``, which creates the node, ends it with code 2 and one line.
+    the node's creation ends it with code 2 and one line.
     """
     os.environ.setdefault(RANGE, 'LOCALHOST')
     leave_at_signals()
     try:
         _require_files()
+        context = get_default_context()
         with ExitStack() as stack:
+            stack.callback(context.try_shutdown)
             try:
-                stack.enter_context(initialised(sys.argv, context=get_default_context()))
+                context.init(sys.argv)  # unlike rclpy.init, it handles no signals
             except rclpy_implementation.UnknownROSArgsError as error:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
                 hint = f'allowed: {KNOWN_WORDS}'
                 raise BadInput.stating('command line', unknown, hint) from None
             except RuntimeError as error:  # malformed rule or parameter file
                 return _ended(error, BAD_INPUT)
-            _require_ros_words(name, specs)
+            _require_ros_words(node_type)
             stack.enter_context(warnings.catch_warnings())
             warnings.simplefilter('ignore', RuntimeWarning)  # failures of rclpy's own cleanup
-            node = make()
+            node = node_type()
             stack.callback(_destroy, node)
             node.begin()
             return _live(node)
@@ -469,16 +506,16 @@ def _require_files() -> None:
             raise BadInput.stating(word, 'no such file', '--params-file is to name one')
 
 
-def _require_ros_words(name: str, specs: Sequence[ParameterSpec]) -> None:
+def _require_ros_words(node_type: type[Managed]) -> None:
     """Reject arguments that would be ignored; print the usage and exit for --help."""
-    lines, known = [USAGE], {each.name: each for each in specs}
-    for each in map(known.__getitem__, sorted(known)):
+    lines = [USAGE]
+    for each in sorted(node_type.specs, key=attrgetter('name')):
         lines.append(f'  {each.name}  {json.dumps(each.default)} {each.unit}'.rstrip())
         lines += textwrap.wrap(
             each.description, 80, initial_indent=INDENT, subsequent_indent=INDENT
         )
     parser = argparse.ArgumentParser(
-        usage=f'{name} [--ros-args ARGUMENT...]',
+        usage=f'{node_type.kind} [--ros-args ARGUMENT...]',
         epilog='\n'.join(lines),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -495,7 +532,7 @@ def _live(node: Managed) -> int:
     for name, closed in ((RANGE, ('LOCALHOST', 'OFF')), (PEERS, (None, ''))):
         if (given := os.environ.get(name)) not in closed:
             node.get_logger().warning(f'{name}={given}: open to other machines')
-    executor = executor_named(node.get_parameter('executor').value)
+    executor = executor_named(node.settings.executor)
     executor.add_node(node)
     spin = node.guard(executor.spin_once)  # callbacks of rclpy itself fail on a malformed /clock
     # Objects of the start are permanent: each full collection would scan them for 60 ms.

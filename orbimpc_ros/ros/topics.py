@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -61,6 +61,21 @@ PLOTTED = tuple(Topic(f'planner/{name}', 'std_msgs/msg/Float64') for name in NUM
 UNRECORDED = (Topic('thrust', 'geometry_msgs/msg/Vector3Stamped'),)  # only to an autopilot
 VEHICLE = (*INPUTS, *OUTPUTS, *WORLD)
 TYPES = {topic.name.strip('/'): topic.type for topic in (*SHARED, *TREE, *VEHICLE, *PLOTTED)}
+# Topics of autopilots by those of the planner. MAVROS needs mav_frame BODY_NED for its setpoints.
+AUTOPILOTS: Mapping[str, Mapping[str, str]] = {
+    'ardupilot': {
+        'pose': '/ap/pose/filtered',
+        'twist': '/ap/twist/filtered',
+        'cmd_vel': '/ap/cmd_vel',
+    },
+    'mavros': {
+        'odom': '/mavros/local_position/odom',
+        'cmd_vel': '/mavros/setpoint_velocity/cmd_vel',
+    },
+    'rover': {},
+    'px4': {},  # wings, like arduplane; the parameter autopilot selects the autopilot's own topics
+    'arduplane': {},
+}
 
 
 def topics_of(namespaces: Sequence[str] = ('',)) -> tuple[Topic, ...]:

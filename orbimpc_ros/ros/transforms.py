@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Transforms between frames, from ``/tf`` or parameters, and their application to messages.
+"""Transforms between frames, from ``/tf`` or parameters.
 
 A transform is a matrix, shape (4, 4), that maps points of a child frame to its parent. Those of
 ``/tf_static`` and of parameters are permanent; those of ``/tf`` hold for their stamps, interpolated
@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, Transform
-from nav_msgs.msg import Path
+from geometry_msgs.msg import Transform
+from std_msgs.msg import Header
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
@@ -115,7 +115,7 @@ def between(first: Array, then: Array, share: float) -> Array:
 
 
 class Transforms:
-    """The known transforms, and their application to messages.
+    """The known transforms.
 
     Attributes:
         settings: of the planner: ``tf``, ``stated_transforms`` and ``transform_timeout``.
@@ -153,25 +153,19 @@ class Transforms:
                 known.samples.append((stamp, each.transform))
                 del known.samples[:-MOST_SAMPLES]
 
-    def moved(self, message: Any, frame: str, at: int | None = None) -> Any:
-        """Return the poses of a message in another frame: a Path for a Path, else a PoseStamped.
+    def move(self, header: Header, frame: str, at: int | None = None) -> Array:
+        """Return the matrix from the frame of a header to another, shape (4, 4).
 
-        A message that is no Path has a header and a pose. ``at`` is the time of the transform [ns],
-        by default the stamp of the message.
+        ``at`` is the time of the transform [ns], by default the stamp of the header.
 
         Raises:
-            BadInput: there is no transform, or none at that time, or the message is not valid.
+            BadInput: there is no transform, or none at that time, or the stamp is not valid.
         """
-        found = message.header.frame_id
+        found = header.frame_id
         if not (self.settings.tf or self.settings.stated_transforms):
             raise BadInput('header.frame_id', repr(found), f'{frame!r}; for others, {ON}')
-        stamp = messages.nanoseconds(message.header.stamp, 'header.stamp')
-        move = self.between(frame, found, stamp if at is None else at)
-        head = messages.header(stamp, frame)
-        if hasattr(message, 'poses'):
-            some = message.poses[: messages.LONGEST_PATH + 1]  # enough for it to be refused
-            return Path(header=head, poses=[_moved(each, move, each.header) for each in some])
-        return _moved(message, move, head)
+        stamp = messages.nanoseconds(header.stamp, 'header.stamp')
+        return self.between(frame, found, stamp if at is None else at)
 
     def between(self, target: str, source: str, stamp: int) -> Array:
         """Return the matrix from one frame to another at a stamp [ns], shape (4, 4).
@@ -199,11 +193,3 @@ class Transforms:
             found.append(known[frame])
             frame = known[frame].parent
         return found
-
-
-def _moved(message: Any, move: Array, head: Any) -> PoseStamped:
-    """Return the transformed pose of a valid message."""
-    _, seen = messages.read_sighting(message, 3, messages.Frames())
-    assert seen.attitude is not None
-    place = move[:3, :3] @ seen.position + move[:3, 3]
-    return PoseStamped(header=head, pose=messages.pose(place, move[:3, :3] @ seen.attitude))

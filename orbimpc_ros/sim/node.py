@@ -17,7 +17,6 @@ from std_srvs.srv import Trigger
 
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
 from orbimpc_ros.ros.process import FAILED, LIFE, Managed, qos, run
 from orbimpc_ros.sim.outputs import Seen
 from orbimpc_ros.sim.parameters import SIM, Faults, SimSettings, sim_settings
@@ -221,16 +220,18 @@ class RealTime(FlightSimulation):
 class SimNode(Managed):
     """A node that simulates the flight described by its parameters."""
 
+    kind, specs, settings_of = 'sim', SIM, staticmethod(sim_settings)
+    settings: SimSettings
+
     def __init__(self) -> None:
         # It publishes /clock: under simulated time it would wait for itself.
-        super().__init__('sim', [Parameter('use_sim_time', value=False)])
-        self._live = DynamicParameters(self, SIM, sim_settings)
+        super().__init__(Parameter('use_sim_time', value=False))
 
     def configure(self) -> None:
         """Set up the flight described by the parameters."""
-        settings = self._live.settings()
         self._flown = False  # whether it has been active
-        self._flight = (RealTime if settings.clock == 'wall' else LockStep)(self, settings)
+        pace = RealTime if self.settings.clock == 'wall' else LockStep
+        self._flight = pace(self, self.settings)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
 
     def activate(self) -> None:
@@ -248,4 +249,4 @@ class SimNode(Managed):
         return response
 
 
-main = partial(run, SimNode, 'sim', SIM)
+main = partial(run, SimNode)

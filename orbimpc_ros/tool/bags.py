@@ -27,7 +27,7 @@ from rosbags.typesys import Stores, get_typestore
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import topics
-from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer
+from orbimpc_ros.ros.messages import POSE_TWIST, SECOND, PoseTwistSynchronizer, stamp_of
 from orbimpc_ros.ros.topics import Topic, resolving
 from orbimpc_ros.tool.files import opened
 
@@ -37,7 +37,6 @@ WRITTEN_CHUNK = 1 << 16  # [bytes] lost at most if the recorder is killed
 LARGEST_FILE = 1 << 30  # [bytes]
 LARGEST_RECORD = 1 << 25  # [bytes] of an MCAP file
 LATEST = 2**63  # [ns], beyond the stamps in metadata
-UNDATED = -1  # [ns], for a missing stamp
 DIGITS = 19  # of the longest integers, stamps in nanoseconds
 FINITE = 'advanced', 'sent', 'solve_time_ms'
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
@@ -69,18 +68,6 @@ class Message(NamedTuple):
 
 
 # --- the content of messages, from bags or from DDS
-
-
-def stamp_of(message: Any) -> int:
-    """Return a message's own stamp [ns]; :data:`UNDATED` without a valid one.
-
-    This is the stamp of its header or of its first marker, or the time of ``/clock``.
-    """
-    for part in getattr(message, 'markers', [message])[:1]:
-        stamp = part.header.stamp if hasattr(part, 'header') else getattr(part, 'clock', None)
-        if stamp is not None and stamp.sec >= 0 and stamp.nanosec < SECOND:
-            return int(stamp.sec) * SECOND + int(stamp.nanosec)
-    return UNDATED
 
 
 def seconds(message: Any) -> float:

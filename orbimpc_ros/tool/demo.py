@@ -20,14 +20,14 @@ from rosgraph_msgs.msg import Clock
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.entry import COMPILING, PACKAGES
-from orbimpc_ros.ros.messages import SECOND, time_message
+from orbimpc_ros.ros.messages import SECOND, UNDATED, stamp_of, time_message
 from orbimpc_ros.ros.process import LATCHED, LATEST, attached, qos
 from orbimpc_ros.ros.topics import Topic, topics_of
 from orbimpc_ros.sim.fleet import FLEETS, separations, vehicles
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import ENGINES, class_of
 from orbimpc_ros.tool import history, settings
-from orbimpc_ros.tool.bags import UNDATED, BagWriter, stamp_of
+from orbimpc_ros.tool.bags import BagWriter
 from orbimpc_ros.tool.files import new_folder
 from orbimpc_ros.tool.history import History
 from orbimpc_ros.tool.processes import Child, Processes, ProgressLine, interruptions, isolate

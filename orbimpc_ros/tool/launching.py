@@ -29,8 +29,8 @@ from launch.substitutions import EnvironmentVariable
 from launch_ros.actions import Node
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.firmware import TOPICS
 from orbimpc_ros.ros.process import RANGE
+from orbimpc_ros.ros.topics import AUTOPILOTS
 from orbimpc_ros.sim.fleet import vehicles
 
 RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # topics whose recording starts a flight
@@ -70,7 +70,7 @@ def vehicle() -> LaunchDescription:
     """Return the launch of a planner alone, with the topics and parameters of an autopilot."""
     return _described(
         _pilot,
-        _argument('autopilot', None, 'vehicle or autopilot', TOPICS),
+        _argument('autopilot', None, 'vehicle or autopilot', AUTOPILOTS),
         _argument('params_file', '', "by default the autopilot's"),
         _argument('namespace', '', 'of the planner'),
         _argument('dry_run', 'false', 'plan and report, but send no commands', SWITCH),
@@ -107,7 +107,7 @@ def _simulated(several: bool, context: LaunchContext) -> list[Action]:
 def _pilot(context: LaunchContext) -> list[Action]:
     asked = context.launch_configurations
     _settled(asked, asked['autopilot'])
-    topics, dry_run = TOPICS[asked['autopilot']], asked['dry_run'] == 'true'
+    topics, dry_run = AUTOPILOTS[asked['autopilot']], asked['dry_run'] == 'true'
     planner = _node(asked, 'planner', _outer(asked), {'dry_run': dry_run}, [*topics.items()])
     return [planner, *_ending([], [planner])]
 
@@ -195,4 +195,4 @@ def _configs() -> Path:
 
 def _scenarios() -> list[str]:
     """Return the names of the parameter files of a single simulated vehicle."""
-    return sorted({file.stem for file in _configs().glob('*.yaml')} - {*TOPICS, *SEVERAL})
+    return sorted({file.stem for file in _configs().glob('*.yaml')} - {*AUTOPILOTS, *SEVERAL})

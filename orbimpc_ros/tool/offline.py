@@ -55,7 +55,7 @@ class OfflinePlanner(Core):
         clock: Callable[[], float] | None = None,
         planner: Planner | None = None,
     ) -> None:
-        chosen = planner_of(settings)[1] if planner is None else planner
+        chosen = planner_of(settings) if planner is None else planner
         resolve = resolving(node.rpartition('/')[0])
         super().__init__(settings, chosen, clock=clock, resolve=resolve)
         self._node = node

@@ -15,7 +15,6 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HORIZON, TERMINALS, Approach, Floor, Problem, Weights
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.problem.problem import SCALINGS, STEEPEST_GLIDE, weighed
-from orbimpc_ros.ros.firmware import AUTOPILOTS
 from orbimpc_ros.ros.parameters.spec import (
     FAR,
     MAX_DURATION,
@@ -120,7 +119,7 @@ class PlannerSettings(VehicleParameters):
         'How long the last transform of /tf remains valid', 's', 0.0, MAX_DURATION, live=True)
     autopilot: str = parameter('autopilot', '', 'Fixed-wing autopilot to steer on its own topics: '
         'PX4 in offboard mode (px4_msgs), or ArduPlane in GUIDED through MAVROS (mavros_msgs); '
-        'setpoints are sent in that mode only', choices=('', *AUTOPILOTS))
+        'setpoints are sent in that mode only', choices=('', 'px4', 'arduplane'))
     gated: bool = parameter('gated', False, 'Whether commands wait for the topic engaged '
         '(std_msgs/Bool): they are sent only while it is true')
     trigger: str = parameter('trigger', 'timer', 'Whether to plan at each odometry or every period',

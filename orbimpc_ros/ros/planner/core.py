@@ -173,8 +173,8 @@ class Inputs:
     def _take(self, topic: str, message: Any, now: float, ros: int | None) -> None:
         """Take in odometry, a goal, a wind or another vehicle's plan, or raise BadInput."""
         settings, last, is_goal = self.settings, self.latest.get(topic), topic in GOALS
-        placed = self._placed(message) if is_goal or topic in self.others else message
-        stamp, value = read(topic, placed, settings)
+        move = self._move(message.header) if is_goal or topic in self.others else None
+        stamp, value = read(topic, message, settings, move)
         apart = abs(_past(stamp.nanoseconds, ros, settings.future_tolerance + self.lag))
         by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: dated by arrival
         timeout = settings.goal_timeout if topic != 'odom' else settings.odom_timeout
@@ -188,7 +188,7 @@ class Inputs:
         if by_hand or (not timed and math.isnan(apart)):
             timed = None
         run = last.run + 1 if fresh and last is not None else 1
-        moved = None if message is placed else message
+        moved = None if move is None else message
         self._keep(topic, Received(stamp, value, now, timed, run, moved))
 
     def _require_newer(self, topic: str, stamp: int, *, fresh: bool) -> None:
@@ -271,25 +271,23 @@ class Inputs:
         if goal is not None and known is not None and not goal.stamp.nanoseconds:
             self._see_anew(replace(goal, value=replace(goal.value, time=known.value.time)))
 
-    def _placed(self, message: Any) -> Any:
-        """Return a message in the world frame: itself, or its readable parts transformed."""
-        world, found = self.settings.frames.world, message.header.frame_id
-        if not world or found in ('', world):
-            return message
-        return self.transforms.moved(message, world)
+    def _move(self, header: Any, at: int | None = None) -> Array | None:
+        """Return the matrix from the frame of a header to the world; None if that is its frame."""
+        world = self.settings.frames.world
+        there = not world or header.frame_id in ('', world)
+        return None if there else self.transforms.move(header, world, at)
 
     def _place_again(self, at: int) -> None:
         """Transform a resting goal anew, at a stamp [ns]: localisation may have moved its frame."""
-        goal, frames = self.latest.get('goal'), self.settings.frames
-        self.displaced = ''
+        goal, self.displaced = self.latest.get('goal'), ''
         if goal is None or goal.moved is None or goal.streams:
             return
         try:
-            placed = self.transforms.moved(goal.moved, frames.world, at)
+            move = self._move(goal.moved.header, at)
+            _, value = read('goal', goal.moved, self.settings, move)
         except BadInput as error:
             self.displaced = f'the goal stays where it was: {error}'
             return
-        _, value = messages.read_sighting(placed, self.settings.problem.dimension, frames)
         self._see_anew(replace(goal, value=replace(value, time=goal.value.time)))
 
     # --- moving obstacles
@@ -301,7 +299,7 @@ class Inputs:
             many = f' refused: count is {count}; allowed: {MOST}: the rest are ignored'
             odd.append(('count', many))
         odd += filter(None, (self._take_marker(marker, ros) for marker in message.markers[:MOST]))
-        self.latest[OBSTACLES] = Received(Stamp(stamp_of(message)), None, now)
+        self.latest[OBSTACLES] = Received(Stamp(max(0, stamp_of(message))), None, now)
         self.refused.update(f'{OBSTACLES}: {culprit}' for culprit, _ in odd)
         more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
         return f'{self._named(OBSTACLES)}{odd[0][1]}{more}' if odd else ''
@@ -310,7 +308,7 @@ class Inputs:
         """Take in a marker; return culprit and description if it is rejected or unusual."""
         settings = self.settings
         try:
-            seen = read_obstacle(marker, settings.problem.dimension, settings.frames, self._placed)
+            seen = read_obstacle(marker, settings.problem.dimension, settings.frames, self._move)
             if seen is None:
                 self.bodies.clear()
             elif isinstance(seen, str):
@@ -503,8 +501,10 @@ def _past(stamp: int, ros: int | None, allowed: float) -> float:
     return since
 
 
-def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, Any]:
-    """Return stamp and content of an input; a goal without a frame is in the world frame.
+def read(
+    topic: str, message: Any, settings: PlannerSettings, move: Array | None
+) -> tuple[Stamp, Any]:
+    """Return stamp and content of an input, moved; a goal without a frame is in the world frame.
 
     Raises:
         BadInput: it is not acceptable; for instance, a goal in the plane needs an attitude, and its
@@ -513,7 +513,8 @@ def read(topic: str, message: Any, settings: PlannerSettings) -> tuple[Stamp, An
     frames = settings.frames
     if topic in GOALS and not message.header.frame_id:
         frames = replace(frames, world='')
-    stamp, value = READ.get(topic, messages.read_agent)(message, settings.problem.dimension, frames)
+    known = settings.problem.dimension, frames, *(() if move is None else (move,))
+    stamp, value = READ.get(topic, messages.read_agent)(message, *known)
     if topic in GOALS and settings.wants_attitude and value.attitude is None:
         asked = 'one that is not vertical: weights.attitude or approach.cone needs its yaw'
         raise BadInput('pose.orientation', 'that of a vertical x axis', asked)
@@ -530,8 +531,8 @@ def _place(value: GoalObservation | GoalTrajectory, time: float) -> Array:
     return value.position if isinstance(value, GoalObservation) else value.at(np.array([time]))[0]
 
 
-def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
-    """Return the settings with a planner compiled for them."""
+def planner_of(settings: PlannerSettings) -> Planner:
+    """Return a planner compiled for settings."""
     planner = Planner(
         settings.problem,
         shrinking=settings.horizon_mode == 'shrinking',
@@ -544,7 +545,7 @@ def planner_of(settings: PlannerSettings) -> tuple[PlannerSettings, Planner]:
     )
     if settings.avoid:
         planner.expect_hazards()
-    return settings, planner
+    return planner
 
 
 class Core:
@@ -600,13 +601,6 @@ class Core:
         """Forget plan and inputs, except a goal sent by hand; with ``wind``, its estimate too."""
         self.planner.start_afresh(wind=wind)
         self.inputs.start_afresh()
-
-    def unsafe(
-        self, now: float, ros: int | None = None, stop: Reason | None = None
-    ) -> Reason | None:
-        """Return why no plan may be followed now; None if one may."""
-        known = self.inputs.odometry
-        return self.planner.unsafe(None if known is None else known.age(now, ros), stop)
 
     def decide(self, now: float, ros: int | None = None, stop: Reason | None = None) -> Decision:
         """Return the next command, with what it is based on; ``stop`` forbids any plan."""

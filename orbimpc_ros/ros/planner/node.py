@@ -23,12 +23,12 @@ from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.loop.capture import Events, VelocityFrameCheck
-from orbimpc_ros.loop.planner import Decision, Planner
+from orbimpc_ros.loop.planner import Decision
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
+from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.entry import report_compilation, without_compiler
-from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, Stamp, command_messages, health_message
-from orbimpc_ros.ros.parameters.dynamic import DynamicParameters
+from orbimpc_ros.ros.messages import OK, POSE_TWIST, SECOND, Stamp
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner_settings
 from orbimpc_ros.ros.planner import core, outputs
 from orbimpc_ros.ros.planner.core import Core, planner_of
@@ -119,15 +119,16 @@ NUMBER = re.compile(r'(?<![\w/])[-+]?\d+(\.\d+)?(e[-+]?\d+)?')
 class PlannerNode(Managed):
     """Connects messages to the core and its decisions to messages, and monitors its inputs."""
 
+    kind, specs, settings_of = 'planner', PLANNER, staticmethod(planner_settings)
+    settings: PlannerSettings
+
     def __init__(self) -> None:
-        super().__init__('planner')
+        super().__init__()
         self._logged: dict[str, float] = {}  # time of the last log of each line [s]
         report_compilation(self.get_logger().info)
         if not COMPILED:
-            self._log(without_compiler(), warn=True)
-        self._live = DynamicParameters(self, PLANNER, planner_settings, planner_of, self._install)
-        step = self.get_parameter('step').value
-        self._time = NodeClock(self, step, self.at_work(self._on_jump))
+            self.get_logger().warning(without_compiler())
+        self._time = NodeClock(self, self.settings.step, self.at_work(self._on_jump))
 
     def configure(self) -> None:
         """Compile a planner for the parameters, and connect inputs and outputs."""
@@ -135,14 +136,13 @@ class PlannerNode(Managed):
         self._wing: Wing | None = None
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # time of the last checks [s]
-        settings = self._live.settings()
+        settings = self.settings
         self._gate = not settings.gated
         # Before compilation: cmd_vel shows a simulator that a planner is being configured.
         self._create_publishers(settings)
         if settings.autopilot:
-            known = settings.frames, self._switched, partial(self._log, warn=True)
-            self._wing = WINGS[settings.autopilot](self, *known)
-        settings, planner = planner_of(settings)
+            self._wing = WINGS[settings.autopilot](self, settings.frames, self._switched)
+        planner = planner_of(settings)
         self._frame_check = VelocityFrameCheck(settings.frames.velocity)
         self._core = Core(
             settings,
@@ -155,8 +155,7 @@ class PlannerNode(Managed):
         self._create_subscriptions(settings)
         self._create_timers(settings)
         self.get_logger().info(summary(settings, self._time.simulated))
-        given = {name: each.value for name, each in self._parameter_overrides.items()}
-        for doubt in doubts(settings, given):
+        for doubt in doubts(settings, self.given):
             self.get_logger().warning(doubt)
 
     def activate(self) -> None:
@@ -169,10 +168,11 @@ class PlannerNode(Managed):
         """Send a final safe command."""
         self.safe(core.INACTIVE)
 
-    def _install(self, prepared: tuple[PlannerSettings, Planner]) -> None:
+    def install(self) -> None:
+        """Continue with changed settings, and a planner compiled for them."""
         if self.configured:
-            self._core.install(*prepared)
-        self.get_logger().info(f'from now on {summary(prepared[0], self._time.simulated)}')
+            self._core.install(self.settings, planner_of(self.settings))
+        self.get_logger().info(f'from now on {summary(self.settings, self._time.simulated)}')
 
     # --- wiring
 
@@ -266,7 +266,7 @@ class PlannerNode(Managed):
             if not inputs.complete:
                 if measured:
                     self._wait()
-            elif measured or (waits and self._core.unsafe(*at) is None):
+            elif measured or (waits and not self._core.planner.unsafe(known.age(*at))):
                 self._answer(self._core.decide(*at, stop))
         if known is not None and measured:  # no command waits for this
             self._frame_check.note(known.value)
@@ -293,7 +293,7 @@ class PlannerNode(Managed):
         """Record that commands start, from a fresh state, or stop being sent."""
         if self._engaged:
             self._core.planner.start_afresh()
-        self._log(words)
+        self.get_logger().info(words)
 
     @property
     def _engaged(self) -> bool:
@@ -303,7 +303,7 @@ class PlannerNode(Managed):
 
     def _repeat_answer(self, message: OdometryMessage) -> None:
         """Answer repeated odometry: its goal or first answer may have been lost in discovery."""
-        stamp, at = message.header.stamp.sec * SECOND + message.header.stamp.nanosec, self._now()
+        stamp, at = messages.stamp_of(message), self._now()
         waited = at[0] - self._sent_at > REPEAT
         if stamp != self._answered:
             awaited = self._time.simulated and self._core.settings.trigger == 'odom'
@@ -344,7 +344,9 @@ class PlannerNode(Managed):
 
     def _unsafe(self) -> Reason | None:
         """Return why no plan may be followed now; None if one may."""
-        return self._core.unsafe(*self._now(), self._stop())
+        known = self._core.inputs.odometry
+        age = None if known is None else known.age(*self._now())
+        return self._core.planner.unsafe(age, self._stop())
 
     def safe(self, reason: Reason) -> None:
         """Send a safe command now, unless the planner has not commanded anything yet."""
@@ -380,7 +382,8 @@ class PlannerNode(Managed):
         """Send the command of a decision to the vehicle, if commands may be sent."""
         if self._engaged:
             known, oriented = self._core.settings, 'odom' in self._core.inputs.latest
-            self._send(command_messages(known, self._stamp, decision.command, oriented=oriented))
+            command = self._stamp, decision.command
+            self._send(messages.command_messages(known, *command, oriented=oriented))
         self._sent_at = self.steady_now()
 
     def _is_heard(self, topic: str) -> bool:
@@ -394,8 +397,8 @@ class PlannerNode(Managed):
         heard = [*filter(self._is_heard, self._publishers_of)]
         self._send(outputs.report_messages(*known, heard))
 
-    def _send(self, messages: Iterable[tuple[str, Any]]) -> None:
-        for topic, message in messages:
+    def _send(self, content: Iterable[tuple[str, Any]]) -> None:
+        for topic, message in content:
             self._publishers_of[topic].publish(message)
 
     def _look_for_events(self) -> None:
@@ -474,16 +477,24 @@ class PlannerNode(Managed):
         return outputs.condition(wrong, waiting, self._decision, notices)
 
     def _show_changes(self) -> None:
-        """Log changes of the condition, and publish it if the level has changed."""
+        """Log changes of the condition, and publish it if the level has changed.
+
+        A line is not logged again soon, nor one that differs in numbers alone.
+        """
         level, parts = self._condition()
         current = {NUMBER.sub('#', part): (level != OK, part) for part in parts}
-        for kind, (odd, part) in current.items():
-            if kind not in self._current:
-                self._log(part, warn=odd)
+        news = {kind: each for kind, each in current.items() if kind not in self._current}
         for kind, (odd, part) in self._current.items():
             if odd and kind not in current:
-                self._log(f'over: {part}')
-        self._current = current
+                news[f'over: {kind}'] = False, f'over: {part}'
+        self._current, now = current, self.steady_now()
+        recent = {kind: at for kind, at in self._logged.items() if now - at < QUIET}
+        for kind, (odd, line) in news.items():
+            if odd and kind not in recent:
+                self.get_logger().warning(line)
+            elif kind not in recent:
+                self.get_logger().info(line)
+        self._logged = dict.fromkeys(news, now) | recent
         if level != self._level:
             self._show_health()
 
@@ -498,22 +509,9 @@ class PlannerNode(Managed):
             'callbacks failed': self.failures,
             **{f'refused {what}': count for what, count in inputs.refused.items()},
         }
-        now, name = self._time.nanoseconds, self.get_fully_qualified_name()
-        message = health_message(now, name, 'condition', self._level, '; '.join(parts), values)
+        known = self._time.nanoseconds, self.get_fully_qualified_name(), 'condition', self._level
+        message = messages.health_message(*known, '; '.join(parts), values)
         self._publishers_of['/diagnostics'].publish(message)
-
-    def _log(self, text: str, *, warn: bool = False) -> None:
-        """Log a line, unless the same, apart from numbers, was logged recently."""
-        kind, now = NUMBER.sub('#', text), self.steady_now()
-        last = self._logged.pop(kind, -math.inf)
-        news = now - last >= QUIET
-        self._logged[kind] = now if news else last
-        if len(self._logged) > 100:  # text may contain untrusted input
-            del self._logged[next(iter(self._logged))]
-        if news and warn:
-            self.get_logger().warning(text)
-        elif news:
-            self.get_logger().info(text)
 
     # --- fresh starts
 
@@ -550,4 +548,4 @@ class PlannerNode(Managed):
         return response
 
 
-main = partial(run, PlannerNode, 'planner', PLANNER)
+main = partial(run, PlannerNode)

@@ -18,7 +18,7 @@ from orbimpc_ros.mpc.check import margins
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.outcome import Fallback, Status
-from orbimpc_ros.mpc.plan import Command
+from orbimpc_ros.mpc.plan import Command, stop
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.document import Document, certificate_of, text_of
 from orbimpc_ros.mpc.sensitivity import explained
@@ -26,9 +26,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, diagnostics, plan_markers
 from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings
 
-# Topics of decisions, and of commands to the vehicle, which are sent first.
-REPORTS = ('plan', 'plan_markers', 'tick', 'certificate')
-COMMANDS = ('cmd_vel', 'rotation', 'cmd_thrust', 'thrust')
+REPORTS = ('plan', 'plan_markers', 'tick')  # topics of every planner
 DECIDED = ('status', 'reason', 'cause', 'fallback', 'solve_time_ms', 'advanced')
 COSTS = ('objective', 'lower_bound', 'gap')
 NO_PLAN: dict[str, object] = {'nodes': 0, 'speed_fraction': (), 'margins': {}}
@@ -121,13 +119,11 @@ def condition(
 
 def outputs(settings: PlannerSettings) -> list[str]:
     """Return the topics that a planner publishes: no commands on a dry run."""
-    topics = REPORTS if settings.dry_run else REPORTS + COMMANDS
-    wanted = {
-        'certificate': settings.publish_certificate,
-        'cmd_thrust': settings.problem.inertial,
-        'thrust': settings.hover_thrust > 0.0,
-    }
-    return [topic for topic in topics if wanted.get(topic, True)]
+    proofs = ['certificate'] if settings.publish_certificate else []
+    if settings.dry_run:
+        return [*REPORTS, *proofs]
+    commands = messages.command_messages(settings, Stamp(0), stop(np.eye(settings.dimension)))
+    return [*REPORTS, *proofs, *(topic for topic, _ in commands)]
 
 
 def report_messages(

@@ -1,6 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Interface to the autopilot of a wing on its own topics: ``odom``, ``wind``, and setpoints.
 
+ROS has x east, y north, z up, and a body with x forward, y left, z up. PX4 and MAVLink have north,
+east, down, and forward, right, down. Each conversion is its own inverse.
+
 Setpoints are sent only in the mode that accepts them, and while the autopilot's measurements are
 fresh. Otherwise the planner is silent, as the firmwares expect: PX4 reacts when OffboardControlMode
 stops, and ArduPlane is sent one command, if it is still connected, to resume its guided target.
@@ -10,7 +13,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from typing import Any, ClassVar
@@ -23,9 +27,9 @@ from rclpy.publisher import Publisher
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion
 from orbimpc_ros.mpc.plan import Command
-from orbimpc_ros.ros import firmware, messages
-from orbimpc_ros.ros.firmware import Setpoint
+from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.process import LATEST, Managed, qos
@@ -37,6 +41,17 @@ AIRSPEED_LOST, WIND_LOST = 1.0, 10.0  # [s]: then they are unknown; the latter i
 ALIVE = 0.1  # [s] between messages that keep offboard mode
 OFFBOARD = 14  # VehicleStatus.NAVIGATION_STATE_OFFBOARD
 REFUSALS = 5.0  # [s] after which an unanswered command counts as lost
+QUIET = 10.0  # [s] between lines about problems
+GRAVITY = 9.80665  # [m/s^2]
+NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from or to ENU
+FRD = np.diag([1.0, -1.0, -1.0])  # from or to FLU
+LAPSE, DENSITY = 2.25577e-5, 4.2559  # [1/m], [1]: standard atmosphere below 11 km
+STEEPEST = 0.3  # least upward component of the body's z axis in the computation of a turn
+CHANGE_SPEED, CHANGE_ALTITUDE, CHANGE_HEADING = 43000, 43001, 43002  # MAV_CMD_GUIDED_...
+HEADING, NO_HEADING = 1.0, 2.0  # HEADING_TYPE: of the vehicle; none, back to the guided target
+ABOVE_HOME = 3  # MAV_FRAME_GLOBAL_RELATIVE_ALT
+AHEAD = 1.5  # [rad] per tan(bank): by default ArduPlane banks 0.87 rad per radian
+HOLD = 0.5  # [m/s^2] least limit, to hold a heading
 
 
 def types_of(package: str, parameter: str, value: str) -> Any:
@@ -52,12 +67,79 @@ def types_of(package: str, parameter: str, value: str) -> Any:
         raise BadInput.stating(parameter, f'{value}, and {package} is missing', hint) from None
 
 
+@dataclass(frozen=True)
+class Setpoint:
+    """Setpoint of a wing.
+
+    Attributes:
+        airspeed: true [m/s].
+        heading: of the airspeed vector at the next setpoint, from east, to the left [rad].
+        turn: turn rate, to the left [rad/s].
+        altitude: above the origin [m]; NaN to hold the present one.
+    """
+
+    airspeed: float
+    heading: float
+    turn: float
+    altitude: float = math.nan
+
+
+def setpoint(
+    command: Command, forward: float, step: float, period: float, altitude: float = math.nan
+) -> Setpoint:
+    """Return the setpoint of a planar command, whose rotation is reached after a step [s].
+
+    ``forward`` is full speed [m/s], ``period`` the time until the next command [s]; ``altitude``
+    as of a setpoint.
+    """
+    turn, axis = float(command.body_rate[-1]), command.rotation[:, 0]
+    heading = math.atan2(axis[1], axis[0]) - (step - period) * turn
+    heading = math.remainder(heading, 2.0 * math.pi)
+    return Setpoint(forward * command.speed_fraction, heading, turn, altitude)
+
+
+def bearing(angle: float) -> float:
+    """Convert an angle from east, to the left, to one from north, to the right; or back [rad]."""
+    return math.remainder(0.5 * math.pi - angle, 2.0 * math.pi)
+
+
+def attitude(unit: Array) -> Array:
+    """Return the attitude, FLU to ENU, for a quaternion (w, x, y, z), FRD to NED."""
+    return np.asarray(NED @ from_quaternion(unit, 3) @ FRD)
+
+
+def equivalent(altitude: float) -> float:
+    """Return the ratio of equivalent to true airspeed at an altitude above mean sea level [m]."""
+    return math.sqrt(max(1e-3, 1.0 - LAPSE * altitude) ** DENSITY)
+
+
+def through_air(velocity: Array, rotation: Array, airspeed: float, wind: Array) -> Array | None:
+    """Return the velocity through the air in the body frame, shape (3,) [m/s]; None if unknown.
+
+    Args:
+        velocity: over ground, ENU, shape (3,) [m/s].
+        rotation: attitude, FLU to ENU, shape (3, 3).
+        airspeed: measured true airspeed [m/s]; NaN without a measurement.
+        wind: east and north, shape (2,) [m/s]; NaN if unknown.
+    """
+    if not np.isfinite(wind).all():
+        return np.array([airspeed, 0.0, 0.0]) if math.isfinite(airspeed) else None
+    relative = rotation.T @ (velocity - np.append(wind, 0.0))
+    speed = float(np.linalg.norm(relative))
+    return relative * (airspeed / speed if math.isfinite(airspeed) and speed > 0.0 else 1.0)
+
+
+def coordinated(rotation: Array, airspeed: float) -> float:
+    """Return the rate of a coordinated turn at an attitude, to the left [rad/s]."""
+    bank = rotation[2, 1] / max(float(rotation[2, 2]), STEEPEST)  # tan, to the right
+    return -GRAVITY * float(bank) / max(airspeed, 1.0)
+
+
 class Wing(ABC):
     """The autopilot of a wing, on topics of a node, with the frames of its odometry.
 
     Args:
         switched: called with a line when sending of setpoints becomes possible or impossible.
-        warn: called with a line about any other problem.
 
     Attributes:
         engaged: whether setpoints may be sent.
@@ -72,12 +154,11 @@ class Wing(ABC):
         node: Managed,
         frames: Frames,
         switched: Callable[[str], None],
-        warn: Callable[[str], None],
     ) -> None:
         self._types = types_of(self.package, 'autopilot', self.name)
         self.engaged = False
         self._node, self._frames = node, frames
-        self._switched, self._warn = switched, warn
+        self._switched = switched
         self._odometry_out = node.create_publisher(OdometryMessage, 'odom', qos())
         self._wind_out = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
         self._latest: dict[str, tuple[float, Any]] = {}  # time [s] and value, by event
@@ -104,7 +185,7 @@ class Wing(ABC):
         self._note('setpoint')
         if self.engaged:
             known = settings.problem.forward, settings.problem.step, settings.period
-            self._publish(firmware.setpoint(command, *known, altitude))
+            self._publish(setpoint(command, *known, altitude))
 
     def look(self) -> None:
         """Update whether setpoints may be sent, and keep the mode while they are."""
@@ -130,6 +211,10 @@ class Wing(ABC):
         at, value = self._latest.get(what, (-math.inf, otherwise))
         return value if self._node.steady_now() - at <= within else otherwise
 
+    def _warn(self, problem: str) -> None:
+        line = f'{self.name}: {problem}'
+        self._node.get_logger().warning(line, throttle_duration_sec=QUIET)
+
     def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
         self._node.create_subscription(kind, topic, self._node.guard(callback), LATEST)
 
@@ -150,19 +235,25 @@ class Wing(ABC):
         """
         airspeed = self._last('airspeed', AIRSPEED_LOST, otherwise=math.nan)
         wind = self._last('wind', WIND_LOST, otherwise=np.full(2, math.nan))
-        through = firmware.through_air(velocity, rotation, airspeed, wind)
+        through = through_air(velocity, rotation, airspeed, wind)
         parts = (position, velocity, rotation.ravel())
         if through is None or not np.isfinite(np.concatenate(parts)).all():
             return  # treated as no measurement
         self._note('position')
-        turn = firmware.coordinated(rotation, float(np.linalg.norm(through)))
+        turn = coordinated(rotation, float(np.linalg.norm(through)))
         rates = np.array([0.0, 0.0, turn])
         measured = Odometry(stamp / SECOND, position, rotation, through, rates)
         self._odometry_out.publish(messages.odometry_message(Stamp(stamp, self._frames), measured))
 
 
 class Px4(Wing):
-    """PX4 in offboard mode, over uXRCE-DDS."""
+    """PX4 in offboard mode, over uXRCE-DDS.
+
+    FixedWingLateralSetpoint and FixedWingLongitudinalSetpoint turn the airspeed vector to a
+    direction by the firmware's own control law, and add the given lateral acceleration. NaN means
+    "not controlled": used for the course in addition to a direction, and for the height rate in
+    addition to an altitude; with neither of these, the altitude is held.
+    """
 
     name, package, mode = 'px4', 'px4_msgs', 'offboard'
 
@@ -201,10 +292,10 @@ class Px4(Wing):
         if not (message.xy_valid and message.v_xy_valid):
             return
         self._origin = message.ref_alt if message.z_global else math.nan
-        place = firmware.NED @ np.array([message.x, message.y, message.z], dtype=float)
-        velocity = firmware.NED @ np.array([message.vx, message.vy, message.vz], dtype=float)
+        place = NED @ np.array([message.x, message.y, message.z], dtype=float)
+        velocity = NED @ np.array([message.vx, message.vy, message.vz], dtype=float)
         unit = np.array(other.q, dtype=float)
-        rotation = firmware.attitude(unit / np.linalg.norm(unit))
+        rotation = attitude(unit / np.linalg.norm(unit))
         self._moved(1000 * stamp, place, velocity, rotation)
 
     def _on_airspeed(self, message: Any) -> None:
@@ -228,20 +319,36 @@ class Px4(Wing):
 
     def _keep(self) -> None:
         # Of velocity: with position, PX4's own guidance would publish setpoints, too.
-        self._fill(self._types.OffboardControlMode, {'velocity': True})
+        self._tell(self._types.OffboardControlMode, velocity=True)
 
     def _publish(self, wanted: Setpoint) -> None:
-        self._fill(self._types.FixedWingLateralSetpoint, firmware.lateral(wanted))
-        fields = firmware.longitudinal(wanted, self._share, self._origin)
-        self._fill(self._types.FixedWingLongitudinalSetpoint, fields)
+        self._tell(
+            self._types.FixedWingLateralSetpoint,
+            course=math.nan,
+            airspeed_direction=bearing(wanted.heading),
+            lateral_acceleration=-wanted.airspeed * wanted.turn,  # to the right
+        )
+        self._tell(
+            self._types.FixedWingLongitudinalSetpoint,
+            altitude=self._origin + wanted.altitude,  # above mean sea level
+            height_rate=math.nan,
+            equivalent_airspeed=self._share * wanted.airspeed,
+            pitch_direct=math.nan,
+            throttle_direct=math.nan,
+        )
 
-    def _fill(self, kind: type, fields: Mapping[str, float | bool]) -> None:
+    def _tell(self, kind: type, **fields: float) -> None:
         now = self._node.get_clock().now().nanoseconds // 1000
         self._publishers[kind].publish(kind(timestamp=now, **fields))
 
 
 class ArduPlane(Wing):
-    """ArduPlane in GUIDED, through MAVROS."""
+    """ArduPlane in GUIDED, through MAVROS.
+
+    MAV_CMD_GUIDED_CHANGE_HEADING banks in proportion to the heading error, up to the bank of the
+    given acceleration; with 0 it does not bank. So the heading is sent as far ahead in the turn as
+    that bank requires, with the acceleration of the turn.
+    """
 
     name, package, mode = 'arduplane', 'mavros_msgs', 'GUIDED'
 
@@ -249,7 +356,7 @@ class ArduPlane(Wing):
         self._command = import_module(f'{self.package}.srv').CommandInt
         self._client = self._node.create_client(self._command, 'mavros/cmd/command_int')
         self._share, self._asked = 1.0, -math.inf
-        self._due: list[Mapping[str, float]] = []
+        self._due: list[dict[str, float]] = []  # fields of commands, each a COMMAND_INT
         wind = TwistWithCovarianceStamped
         self._listen(OdometryMessage, 'mavros/local_position/odom', self._on_odometry)
         self._listen(self._types.VfrHud, 'mavros/vfr_hud', self._on_hud)
@@ -260,13 +367,13 @@ class ArduPlane(Wing):
         try:
             stamp, measured = messages.read_odometry(message, 3, Frames())
         except BadInput as error:
-            self._warn(f'{self.name}: odometry refused: {error}')
+            self._warn(f'odometry refused: {error}')
             return
         velocity = measured.attitude @ measured.body_velocity
         self._moved(stamp.nanoseconds, measured.position, velocity, measured.attitude)
 
     def _on_hud(self, message: Any) -> None:
-        self._share = firmware.equivalent(message.altitude)
+        self._share = equivalent(message.altitude)
         self._airspeed_is(message.airspeed / self._share)
 
     def _on_state(self, message: Any) -> None:
@@ -276,13 +383,24 @@ class ArduPlane(Wing):
     def _publish(self, wanted: Setpoint) -> None:
         """Send the commands of a setpoint in sequence; a new setpoint waits for their end."""
         busy = self._due and self._node.steady_now() - self._asked < REFUSALS
-        if not busy:
-            self._due = list(firmware.guided(wanted, self._share))
-            self._ask()
+        if busy:
+            return
+        sideways = wanted.airspeed * wanted.turn
+        ahead = bearing(wanted.heading + AHEAD * sideways / GRAVITY)
+        turn = {'param1': HEADING, 'param2': math.degrees(ahead) % 360.0}
+        airspeed = self._share * wanted.airspeed
+        self._due = [
+            {'command': CHANGE_HEADING, **turn, 'param3': max(HOLD, abs(sideways))},
+            {'command': CHANGE_SPEED, 'param1': 0.0, 'param2': airspeed, 'param3': 0.0},
+        ]
+        if math.isfinite(wanted.altitude):
+            height = {'frame': ABOVE_HOME, 'z': wanted.altitude}
+            self._due.append({'command': CHANGE_ALTITUDE, **height})
+        self._ask()
 
     def release(self) -> None:
         """Have ArduPlane drop the heading: it then circles around its guided target."""
-        self._due = [{'command': firmware.CHANGE_HEADING, 'param1': firmware.NO_HEADING}]
+        self._due = [{'command': CHANGE_HEADING, 'param1': NO_HEADING}]
         self._ask()
 
     def _ask(self) -> None:
@@ -296,12 +414,12 @@ class ArduPlane(Wing):
     def _on_answer(self, future: Any) -> None:
         done = self._due.pop(0) if self._due else {}
         if not future.result().success:
-            self._warn(f'{self.name}: refused command {done.get("command")}')
+            self._warn(f'refused command {done.get("command")}')
         if self._due:
             self._ask()
 
 
-WINGS: Mapping[str, type[Wing]] = {wing.name: wing for wing in (Px4, ArduPlane)}
+WINGS: dict[str, type[Wing]] = {wing.name: wing for wing in (Px4, ArduPlane)}
 
 
 def _versioned(topic: str, kind: Any) -> str:
