@@ -2,6 +2,7 @@
 """Autopilots of wings in plain numbers: round trips of axes, setpoints as firmwares read them."""
 
 import math
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -106,7 +107,10 @@ def test_a_bank_to_the_right_turns_to_the_right(bank):
 def test_the_heading_of_a_setpoint_is_that_of_the_next_command():
     rate = np.array([0.4])
     command = Command(0.8, rate, exp(0.5 * rate))  # a step of 0.5 s, from heading 0
-    wanted = wings.setpoint(command, 15.0, 0.5, 0.1)
+    wing, told = Px4.__new__(Px4), []
+    wing.look, wing._note, wing._publish, wing.engaged = list, list, told.append, True
+    wing.send(SimpleNamespace(forward=15.0, step=0.5, period=0.1), command, math.nan)
+    (wanted,) = told
     same([wanted.airspeed, wanted.heading, wanted.turn], [12.0, 0.04, 0.4])
 
 

@@ -15,9 +15,8 @@ from test_ros_outputs import LANDER
 
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.problem import weighed
-from orbimpc_ros.ros.parameters.given import unused
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.parameters.spec import completed
+from orbimpc_ros.ros.parameters.spec import completed, unused
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 
 

@@ -50,8 +50,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros.entry import BAD_INPUT, DONE, SIGNALS, leave_at_signals
 from orbimpc_ros.ros.messages import SECOND
-from orbimpc_ros.ros.parameters.given import refuse_unknown, unused
-from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values, completed
+from orbimpc_ros.ros.parameters import spec
+from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values
 
 ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
 HELD_UP = 0.05  # [s] between readings of two clocks, above which they are not compared
@@ -127,16 +127,16 @@ class Managed(LifecycleNodeMixin, Node):
     def _take_parameters(self) -> None:
         """Declare the parameters with the values given for them, if these are allowed."""
         self.given = {name: each.value for name, each in self._parameter_overrides.items()}
-        refuse_unknown(self.given, self.specs)
-        self._values = completed(self.specs, self.given)
+        spec.refuse_unknown(self.given, self.specs)
+        self._values = spec.completed(self.specs, self.given)
         self._values['use_sim_time'] = self.get_parameter('use_sim_time').value
         self.settings = self.settings_of(self._values)
-        for spec in self.specs:
-            self.declare_parameter(spec.name, self._values[spec.name], spec.descriptor)
+        for each in self.specs:
+            self.declare_parameter(each.name, self._values[each.name], each.descriptor)
         self.add_on_set_parameters_callback(self._on_set)
         self.add_post_set_parameters_callback(self._on_changed)
         full = self.get_fully_qualified_name()
-        for lost in unused(full, self.kind):
+        for lost in spec.unused(full, self.kind):
             self.get_logger().warning(f'{lost} is not for {full}: not used')
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:

@@ -15,9 +15,8 @@ import yaml
 
 from orbimpc_ros import install
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters.given import OF_ROS, PARAMETERS, sections
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.parameters.spec import completed
+from orbimpc_ros.ros.parameters.spec import OF_ROS, PARAMETERS, completed, sections
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 from orbimpc_ros.tool import bags, files
 

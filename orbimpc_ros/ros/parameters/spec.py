@@ -10,13 +10,18 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from array import array
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter
 
@@ -173,6 +178,63 @@ def settings_from(settings: type[S], values: Values) -> S:
 def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
     """Return the given values, and defaults for the rest."""
     return {spec.name: spec.default_beside(given) for spec in specs} | dict(given)
+
+
+# --- values given from outside: rcl matches sections of files, and -p NODE:NAME:=VALUE, with node
+# names and silently ignores the rest, so that a node whose name is misspelt keeps its defaults
+
+OF_ROS = ('use_sim_time', 'start_type_description_service')
+PARAMETERS = 'ros__parameters'
+NODES = ('planner', 'sim')  # one file may serve both
+TABLES = ('ros.parameters.planner', 'PLANNER'), ('sim.parameters', 'SIM')
+
+
+def refuse_unknown(given: Iterable[str], specs: Iterable[ParameterSpec]) -> None:
+    """Reject a parameter that neither node has: one file may serve both."""
+    others = set(given).difference(OF_ROS, (spec.name for spec in specs))
+    if not others:
+        return
+    tables = (getattr(import_module(f'orbimpc_ros.{module}'), name) for module, name in TABLES)
+    known = {*OF_ROS, *(spec.name for table in tables for spec in table)}
+    for name in sorted(others - known):
+        raise BadInput.unknown('parameter', name, sorted(known))
+
+
+def unused(full: str, kind: str) -> list[str]:
+    """Return sections of a node's parameter files, and words after -p, that are for no node.
+
+    Sections in other namespaces belong to other vehicles, but not those without a namespace.
+
+    Args:
+        full: name of the node, with its namespace.
+        kind: its name unless it is remapped.
+    """
+    name = full.rpartition('/')[2]
+    known = {name, '*', '**', *NODES} - ({kind} - {name})
+    found = []
+    for flag, word in pairwise(sys.argv):
+        if flag == '--params-file':
+            # rcl has parsed it; its tags matter no more here than there.
+            tree = yaml.load(Path(word).read_text(errors='replace'), yaml.BaseLoader)
+            for section, _ in sections(tree):
+                if section.rpartition('/')[2] not in known or f'/{name}' == section != full:
+                    found.append(f'section {section} in {word}')
+        owner, colon, _ = word.partition(':=')[0].rpartition(':')
+        if flag in ('-p', '--param') and colon and f'/{owner}' != full:
+            found.append(f'-p {word}')
+    return found
+
+
+def sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield sections, possibly nested by namespace: names with a leading slash, and values."""
+    for name, below in tree.items() if isinstance(tree, dict) else ():
+        if name != PARAMETERS:
+            yield from sections(below, f'{above}/{str(name).strip("/")}')
+        elif isinstance(below, dict):
+            yield above, below
+
+
+# --- parameters of both nodes
 
 
 def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:

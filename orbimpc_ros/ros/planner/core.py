@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from orbimpc_ros.loop.capture import Events
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajectory, Route
 from orbimpc_ros.loop.intercept import steps_before
@@ -628,16 +629,22 @@ class Core:
         solving = 0.0 if decision.cause is Cause.GOAL else 1e3 * took
         return replace(decision, solve_time_ms=solving, heard=heard)
 
-    @property
-    def goal(self) -> tuple[Array, Array | None] | None:
-        """Return place and any attitude of the goal at the last odometry; None unless fresh."""
-        motion, measured = self.seen.goal, self.seen.odometry
-        lost = self.inputs.missing or self.seen.goal_age > self.settings.goal_timeout
+    def look_for(self, events: Events) -> float | None:
+        """Check whether the last odometry shows that the goal is caught or reached.
+
+        Return its distance then [m]; None without a fresh goal.
+        """
+        motion, measured, settings = self.seen.goal, self.seen.odometry, self.settings
+        lost = self.inputs.missing or self.seen.goal_age > settings.goal_timeout
         if lost or measured is None or motion is None or isinstance(motion, np.ndarray):
             return None
+        goal, approach = motion.at(np.array([measured.time]))[0], settings.approach
         if isinstance(motion, Route):
-            return motion.place(np.array([motion.nearest(measured.position)]))[0], None
-        return motion.at(np.array([measured.time]))[0], self.seen.wanted
+            goal = motion.place(np.array([motion.nearest(measured.position)]))[0]
+        elif approach.is_the_goals and self.seen.wanted is not None:
+            approach = replace(approach, direction=tuple(self.seen.wanted[:, 0].tolist()))
+        events.note(measured, goal, settings.capture_radius, settings.odom_timeout, approach)
+        return math.dist(measured.position, goal)
 
     def proved(self, decision: Decision, *, catches: bool = False) -> Decision:
         """Return the last decision with a proof of its claim, if one is found by its deadline.

@@ -328,7 +328,10 @@ class PlannerNode(Managed):
             decision = self._decide()
         self._publish(stamp, decision)
         self._answered = stamp.nanoseconds
-        self._look_for_events()
+        apart = self._core.look_for(self._events)
+        if apart is not None:
+            self._publishers_of['~/distance'].publish(Float64(data=apart))
+        self._publish_events()
         self._core.planner.prepare()
         # The next odometry must not wait and is farthest away now: monitor if that is due soon.
         if self.steady_now() - self._watched >= 0.5 * self._watch_period:
@@ -400,20 +403,6 @@ class PlannerNode(Managed):
     def _send(self, content: Iterable[tuple[str, Any]]) -> None:
         for topic, message in content:
             self._publishers_of[topic].publish(message)
-
-    def _look_for_events(self) -> None:
-        """Check whether the latest odometry shows that the goal is caught or reached."""
-        settings, known = self._core.settings, self._core.inputs.odometry
-        found = self._core.goal
-        if known is None or found is None:
-            return
-        (goal, wanted), approach = found, settings.approach
-        if approach.is_the_goals and wanted is not None:
-            approach = replace(approach, direction=tuple(wanted[:, 0].tolist()))
-        within = settings.capture_radius, settings.odom_timeout, approach
-        self._events.note(known.value, goal, *within)
-        self._send([('~/distance', Float64(data=math.dist(known.value.position, goal)))])
-        self._publish_events()
 
     def _publish_events(self) -> None:
         """Publish events that have changed."""

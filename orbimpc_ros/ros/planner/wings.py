@@ -84,20 +84,6 @@ class Setpoint:
     altitude: float = math.nan
 
 
-def setpoint(
-    command: Command, forward: float, step: float, period: float, altitude: float = math.nan
-) -> Setpoint:
-    """Return the setpoint of a planar command, whose rotation is reached after a step [s].
-
-    ``forward`` is full speed [m/s], ``period`` the time until the next command [s]; ``altitude``
-    as of a setpoint.
-    """
-    turn, axis = float(command.body_rate[-1]), command.rotation[:, 0]
-    heading = math.atan2(axis[1], axis[0]) - (step - period) * turn
-    heading = math.remainder(heading, 2.0 * math.pi)
-    return Setpoint(forward * command.speed_fraction, heading, turn, altitude)
-
-
 def bearing(angle: float) -> float:
     """Convert an angle from east, to the left, to one from north, to the right; or back [rad]."""
     return math.remainder(0.5 * math.pi - angle, 2.0 * math.pi)
@@ -180,12 +166,19 @@ class Wing(ABC):
         """Return control to the autopilot, if silence does not do so."""
 
     def send(self, settings: PlannerSettings, command: Command, altitude: float) -> None:
-        """Send a command if allowed; without commands, the autopilot is not kept in the mode."""
+        """Send a planar command if allowed, and the altitude of a setpoint.
+
+        Without commands, the autopilot is not kept in the mode.
+        """
         self.look()
         self._note('setpoint')
         if self.engaged:
-            known = settings.problem.forward, settings.problem.step, settings.period
-            self._publish(setpoint(command, *known, altitude))
+            turn, axis = float(command.body_rate[-1]), command.rotation[:, 0]
+            # The command's rotation is reached after a step; the next one comes after a period.
+            heading = math.atan2(axis[1], axis[0]) - (settings.step - settings.period) * turn
+            heading = math.remainder(heading, 2.0 * math.pi)
+            airspeed = settings.forward * command.speed_fraction
+            self._publish(Setpoint(airspeed, heading, turn, altitude))
 
     def look(self) -> None:
         """Update whether setpoints may be sent, and keep the mode while they are."""
