@@ -134,8 +134,7 @@ class Observer:
         self.domain = domain
         self._stack = contextlib.ExitStack()
         attaching = attached('observer', executor, enable_rosout=False)
-        given = {} if domain is None else {'ROS_DOMAIN_ID': str(domain)}
-        with mock.patch.dict(os.environ, given):
+        with mock.patch.dict(os.environ, {'ROS_DOMAIN_ID': str(domain)} if domain else {}):
             self.node, self._executor = self._stack.enter_context(attaching)
         self._subscriptions: dict[str, Any] = {}
 

@@ -29,11 +29,7 @@ from orbimpc_ros.mpc.proof.document import WORD, parsed, verified
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, SECOND, WARN, Stamp
 from orbimpc_ros.ros.planner.core import Core, planner_of
-from orbimpc_ros.ros.planner.outputs import (
-    condition,
-    report_messages,
-    values,
-)
+from orbimpc_ros.ros.planner.outputs import condition, report_messages, values
 from orbimpc_ros.ros.process import NodeClock
 from orbimpc_ros.tool.offline import OfflinePlanner
 

@@ -16,39 +16,22 @@ from orbimpc_ros.ros.planner import wings
 from orbimpc_ros.ros.planner.wings import ArduPlane, Px4, Setpoint
 
 DRAWS = 2_000
-EAST, NORTH, UP = np.eye(3)
 
 
-@pytest.fixture(scope='module')
-def rng():
-    return np.random.default_rng(33)
-
-
-def drawn(rng):
-    return Setpoint(
-        airspeed=rng.uniform(8.0, 60.0),
-        heading=rng.uniform(-math.pi, math.pi),
-        turn=rng.normal(scale=0.3),
-        altitude=math.nan if rng.random() < 0.3 else rng.uniform(5.0, 500.0),
-    )
-
-
-def sent(wanted, share, origin):
-    """Return the fields of both messages to PX4, and of the commands to ArduPlane."""
-    px4, arduplane, told = Px4.__new__(Px4), ArduPlane.__new__(ArduPlane), []
-    px4._types, px4._share, px4._origin = MagicMock(), share, origin
-    px4._tell = lambda _kind, **fields: told.append(fields)
-    px4._publish(wanted)
-    arduplane._share, arduplane._due, arduplane._ask = share, [], lambda: None
-    arduplane._publish(wanted)
-    return *told, arduplane._due
+def alone(kind, share=1.0, origin=0.0):
+    """Return a wing without its node, and the list of what it will tell PX4."""
+    wing, told = kind.__new__(kind), []
+    wing._types, wing._share, wing._origin, wing._due = MagicMock(), share, origin, ()
+    wing._tell, wing._ask = lambda _kind, **fields: told.append(fields), list
+    return wing, told
 
 
 def same(one, other):
     return np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6)
 
 
-def test_axes_and_attitudes_there_and_back(rng):
+def test_axes_and_attitudes_there_and_back():
+    rng = np.random.default_rng(33)
     for _ in range(DRAWS):
         vector, unit = rng.normal(scale=100.0, size=3), rng.normal(size=4)
         unit /= np.linalg.norm(unit)
@@ -62,10 +45,17 @@ def test_axes_and_attitudes_there_and_back(rng):
         same(rotation @ vector, wings.NED @ of_body)
 
 
-def test_setpoints_there_and_back(rng):
+def test_setpoints_there_and_back():
+    rng = np.random.default_rng(34)
     for _ in range(DRAWS):
-        wanted, share, origin = drawn(rng), rng.uniform(0.7, 1.0), rng.uniform(-50.0, 900.0)
-        across, along, commands = sent(wanted, share, origin)
+        share, origin = rng.uniform(0.7, 1.0), rng.uniform(-50.0, 900.0)
+        height = math.nan if rng.random() < 0.3 else rng.uniform(5.0, 500.0)
+        turn = rng.uniform(-math.pi, math.pi), rng.normal(scale=0.3)
+        wanted = Setpoint(rng.uniform(8.0, 60.0), *turn, height)
+        (px4, told), (arduplane, _) = (alone(kind, share, origin) for kind in (Px4, ArduPlane))
+        px4._publish(wanted)
+        arduplane._publish(wanted)
+        across, along = told
         # Ranges that the firmwares accept.
         assert -math.pi <= across['airspeed_direction'] <= math.pi
         assert math.isnan(across['course'])  # unused: a finite direction takes precedence
@@ -77,7 +67,7 @@ def test_setpoints_there_and_back(rng):
         same(math.remainder(heading - wanted.heading, 2.0 * math.pi), 0.0)
         same([airspeed, turn], [wanted.airspeed, wanted.turn])
         same(along['altitude'] - origin, wanted.altitude)
-        heading, speed, *height = commands
+        heading, speed, *height = arduplane._due
         assert 0.0 <= heading['param2'] < 360.0
         assert heading['param3'] >= wings.HOLD  # with 0 the vehicle would not bank
         assert bool(height) == math.isfinite(wanted.altitude)  # otherwise the altitude is held
@@ -107,8 +97,8 @@ def test_a_bank_to_the_right_turns_to_the_right(bank):
 def test_the_heading_of_a_setpoint_is_that_of_the_next_command():
     rate = np.array([0.4])
     command = Command(0.8, rate, exp(0.5 * rate))  # a step of 0.5 s, from heading 0
-    wing, told = Px4.__new__(Px4), []
-    wing.look, wing._note, wing._publish, wing.engaged = list, list, told.append, True
+    wing, told = alone(Px4)
+    wing.look, wing._note, wing._publish, wing.engaged = list, str, told.append, True
     wing.send(SimpleNamespace(forward=15.0, step=0.5, period=0.1), command, math.nan)
     (wanted,) = told
     same([wanted.airspeed, wanted.heading, wanted.turn], [12.0, 0.04, 0.4])

@@ -3,7 +3,7 @@
 
 import itertools
 import json
-from functools import partial
+from types import SimpleNamespace
 
 import pytest
 from lifecycle_msgs.msg import Transition
@@ -17,7 +17,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.ros.parameters.spec import PROCESS, ProcessParameters, settings_from
 from orbimpc_ros.ros.process import Managed
 
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
@@ -204,8 +203,7 @@ def test_a_managed_simulator_stands_still_and_flies_again(launch, observer):
 class Worker(Managed):
     """A node that fails in selected transitions."""
 
-    kind, specs = 'worker', PROCESS
-    settings_of = partial(settings_from, ProcessParameters)
+    kind, specs, settings_of = 'worker', (), lambda _node, _: SimpleNamespace(autostart=True)
 
     def __init__(self):
         super().__init__()

@@ -17,17 +17,16 @@ from orbimpc_ros.sim.parameters import SIM
 
 BROKEN = """
     import sys, time
-    from functools import partial
+    from types import SimpleNamespace
     from rclpy.impl.implementation_singleton import rclpy_implementation
     from std_msgs.msg import Bool
     from orbimpc_ros.mpc.errors import BadInput
     from orbimpc_ros.ros import process
-    from orbimpc_ros.ros.parameters.spec import PROCESS, ProcessParameters, settings_from
     from orbimpc_ros.ros.process import Managed
 
     class Broken(Managed):
-        kind, specs = 'broken', PROCESS
-        settings_of = partial(settings_from, ProcessParameters)
+        kind, specs = 'broken', ()
+        settings_of = lambda _node, _: SimpleNamespace(autostart=True, executor='wait_set')
 
         def configure(self):
             self.create_publisher(Bool, 'one', 1)

@@ -7,8 +7,6 @@ DDS. Goals are received as well, since they come just before odometry.
 
 from __future__ import annotations
 
-import sys
-
 import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
@@ -20,8 +18,7 @@ from orbimpc_ros.tool.processes import interruptions
 
 def main() -> None:
     """Echo until a signal arrives."""
-    get_default_context().init(sys.argv)  # unlike rclpy.init, it handles no signals
-    with interruptions() as received:
+    with interruptions() as received, get_default_context():
         node = rclpy.create_node('echo', automatically_declare_parameters_from_overrides=True)
         commands = node.create_publisher(TwistStamped, 'cmd_vel', qos())
 
@@ -34,7 +31,6 @@ def main() -> None:
         executor.add_node(node)
         while not received:
             executor.spin_once(timeout_sec=0.05)
-    rclpy.try_shutdown()
 
 
 if __name__ == '__main__':

@@ -456,11 +456,9 @@ def run(node_type: type[Managed]) -> int:
     leave_at_signals()
     try:
         _require_files()
-        context = get_default_context()
         with ExitStack() as stack:
-            stack.callback(context.try_shutdown)
             try:
-                context.init(sys.argv)  # unlike rclpy.init, it handles no signals
+                stack.enter_context(get_default_context())  # unlike rclpy.init, without signals
             except rclpy_implementation.UnknownROSArgsError as error:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
                 hint = f'allowed: {KNOWN_WORDS}'

@@ -35,7 +35,6 @@ from orbimpc_ros.tool.bags import Message, fields, point
 from orbimpc_ros.tool.offline import OfflinePlanner
 
 CLOCK = '/clock'
-TREE = tuple(topic.name for topic in topics.TREE)
 INPUTS = tuple(topic.name for topic in topics.INPUTS)
 COMPARED = tuple(topic.name for topic in topics.OUTPUTS if not topic.name.startswith('plan'))
 NEEDED = ('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')
@@ -189,7 +188,7 @@ def recording_of(
     values = settings.of_bag(path, namespace, params)
     values = settings.changed(values, changes, simulated=False)
     planner = planner_settings(values)
-    read = (*INPUTS, *COMPARED, CLOCK, *TREE, *others(planner, resolving(namespace)))
+    read = (*INPUTS, *COMPARED, CLOCK, *TRANSFORMS, *others(planner, resolving(namespace)))
     found = bags.of_vehicle(path, namespace, read, NEEDED)
     inputs = tuple(each for each in found if each.topic not in COMPARED)
     outputs = (each for each in found if each.topic in COMPARED)

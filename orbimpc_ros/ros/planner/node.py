@@ -136,25 +136,24 @@ class PlannerNode(Managed):
         self._wing: Wing | None = None
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # time of the last checks [s]
-        settings = self.settings
+        settings, simulated = self.settings, self._time.simulated
         self._gate = not settings.gated
         # Before compilation: cmd_vel shows a simulator that a planner is being configured.
         self._create_publishers(settings)
         if settings.autopilot:
             self._wing = WINGS[settings.autopilot](self, settings.frames, self._switched)
-        planner = planner_of(settings)
         self._frame_check = VelocityFrameCheck(settings.frames.velocity)
         self._core = Core(
             settings,
-            planner,
-            simulated=self._time.simulated,
-            counted=self._time.simulated,
+            planner_of(settings),
+            simulated=simulated,
+            counted=simulated,
             resolve=self.resolve_topic_name,
         )
-        self._core.inputs.lag = settings.step if self._time.simulated else 0.0
+        self._core.inputs.lag = settings.step if simulated else 0.0
         self._create_subscriptions(settings)
         self._create_timers(settings)
-        self.get_logger().info(summary(settings, self._time.simulated))
+        self.get_logger().info(summary(settings, simulated))
         for doubt in doubts(settings, self.given):
             self.get_logger().warning(doubt)
 
@@ -261,7 +260,7 @@ class PlannerNode(Managed):
         known = inputs.odometry
         measured = known is not before
         # Transforms arrive even while it is inactive.
-        if known is not None and self.active and self._core.settings.trigger == 'odom':
+        if known is not None and self.active and self.settings.trigger == 'odom':
             waits = known.stamp.nanoseconds != self._answered
             if not inputs.complete:
                 if measured:
@@ -298,7 +297,7 @@ class PlannerNode(Managed):
     @property
     def _engaged(self) -> bool:
         """Return True if commands may be sent."""
-        flown = self._gate and not self._core.settings.dry_run
+        flown = self._gate and not self.settings.dry_run
         return flown and (self._wing is None or self._wing.engaged)
 
     def _repeat_answer(self, message: OdometryMessage) -> None:
@@ -306,7 +305,7 @@ class PlannerNode(Managed):
         stamp, at = messages.stamp_of(message), self._now()
         waited = at[0] - self._sent_at > REPEAT
         if stamp != self._answered:
-            awaited = self._time.simulated and self._core.settings.trigger == 'odom'
+            awaited = self._time.simulated and self.settings.trigger == 'odom'
             if awaited and self._core.inputs.renew(stamp, at[0]):
                 self._answer(self._decide())
         elif waited and self._decision is not None and not self._unsafe():
@@ -324,7 +323,7 @@ class PlannerNode(Managed):
         self._waits = 0
         stamp = self._core.inputs.latest['odom'].stamp
         age = self._core.seen.odometry_age + 1e-3 * decision.solve_time_ms
-        if decision.state is not None and age > self._core.settings.odom_timeout:  # meanwhile
+        if decision.state is not None and age > self.settings.odom_timeout:  # meanwhile
             decision = self._decide()
         self._publish(stamp, decision)
         self._answered = stamp.nanoseconds
@@ -361,17 +360,17 @@ class PlannerNode(Managed):
     def _be_safe(self, reason: Reason) -> None:
         # Stamped now: it does not answer any odometry.
         now = max(self._time.nanoseconds, self._answered + 1)
-        known, settings = self._core.inputs.odometry, self._core.settings
-        frames = settings.frames if known is None else known.stamp.frames
+        known = self._core.inputs.odometry
+        frames = self.settings.frames if known is None else known.stamp.frames
         self._publish(Stamp(now, frames), self._decide(reason))
 
     # --- outputs
 
     def _publish(self, stamp: Stamp, decision: Decision) -> None:
-        command, settings, self._stamp = decision.command, self._core.settings, stamp
+        command, self._stamp = decision.command, stamp
         self._command(decision)
-        if self._wing is not None and self._gate and not settings.dry_run:
-            self._wing.send(settings, command, self._altitude)
+        if self._wing is not None and self._gate and not self.settings.dry_run:
+            self._wing.send(self.settings, command, self._altitude)
         if self._engaged:
             sent = self._time.nanoseconds
             self._core.planner.sent(command, sent / SECOND)
@@ -384,9 +383,8 @@ class PlannerNode(Managed):
     def _command(self, decision: Decision) -> None:
         """Send the command of a decision to the vehicle, if commands may be sent."""
         if self._engaged:
-            known, oriented = self._core.settings, 'odom' in self._core.inputs.latest
-            command = self._stamp, decision.command
-            self._send(messages.command_messages(known, *command, oriented=oriented))
+            known, oriented = (self.settings, self._stamp), 'odom' in self._core.inputs.latest
+            self._send(messages.command_messages(*known, decision.command, oriented=oriented))
         self._sent_at = self.steady_now()
 
     def _is_heard(self, topic: str) -> bool:
@@ -396,7 +394,7 @@ class PlannerNode(Managed):
 
     def _report(self, decision: Decision) -> None:
         """Publish reports of a decision on topics that have subscribers."""
-        known = self._core.settings, self._stamp, decision, self.get_fully_qualified_name()
+        known = self.settings, self._stamp, decision, self.get_fully_qualified_name()
         heard = [*filter(self._is_heard, self._publishers_of)]
         self._send(outputs.report_messages(*known, heard))
 
@@ -430,7 +428,7 @@ class PlannerNode(Managed):
         if self._obstacles.get_publisher_count():  # obstacles may come: compilation takes a second
             self._core.planner.expect_hazards()
         flying = self._sent_at > -math.inf or not self._enabled
-        due = self.steady_now() - self._sent_at >= self._core.settings.period
+        due = self.steady_now() - self._sent_at >= self.settings.period
         unsafe = self._unsafe() or self._stuck() if flying and due else None
         if unsafe:
             self._be_safe(unsafe)
@@ -440,7 +438,7 @@ class PlannerNode(Managed):
         """Return why no tick will come, if none will."""
         if missing := self._core.inputs.missing:
             return Reason(Cause.WAITING, f'waits for {missing}')
-        stood = self._time.standstill(self._core.settings.odom_timeout)
+        stood = self._time.standstill(self.settings.odom_timeout)
         return Reason(Cause.CLOCK, stood) if stood else None
 
     def _condition(self) -> tuple[bytes, list[str]]:
@@ -506,7 +504,7 @@ class PlannerNode(Managed):
 
     def _on_jump(self, by: float) -> None:
         """Start anew if the clock has jumped [s]: simulated time, so far that all is stale."""
-        settings, back, forth = self._core.settings, CLOCK_SET, CLOCK_SET
+        settings, back, forth = self.settings, CLOCK_SET, CLOCK_SET
         if self._time.simulated:
             back = 0.0
             forth = max(settings.odom_timeout, settings.goal_timeout) + settings.problem.step

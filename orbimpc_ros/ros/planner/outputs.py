@@ -184,14 +184,12 @@ def _proofs(decision: Decision) -> Iterator[Document]:
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:
     """Return N + 1 positions and attitudes of a vehicle under one command for a horizon."""
-    turn = exp(problem.step * command.body_rate)
-    attitudes = [state.attitude]
-    for step in range(problem.horizon):  # at rotation order 2, it turns from the second step on
-        still = step == 0 and problem.rotation_order == 2
-        attitudes.append(attitudes[-1] if still else attitudes[-1] @ turn)
+    late = problem.rotation_order - 1  # at rotation order 2, it turns from the second step on
+    turned = np.maximum(0.0, np.arange(problem.horizon + 1.0) - late) * problem.step
+    attitudes = state.attitude @ np.array([exp(time * command.body_rate) for time in turned])
     fractions = np.full(problem.horizon + 1, command.speed_fraction)
     fractions[0] = min(1.0, float(np.linalg.norm(state.rotation[:, 0])))
-    headings = fractions[:, None] * np.array(attitudes)[:, :, 0]
+    headings = fractions[:, None] * attitudes[:, :, 0]
     positions, _ = translation_rollout(problem, state, headings)
     return list(zip(positions, attitudes, strict=True))
 

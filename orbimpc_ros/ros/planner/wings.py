@@ -135,16 +135,10 @@ class Wing(ABC):
     package: ClassVar[str]
     mode: ClassVar[str]
 
-    def __init__(
-        self,
-        node: Managed,
-        frames: Frames,
-        switched: Callable[[str], None],
-    ) -> None:
+    def __init__(self, node: Managed, frames: Frames, switched: Callable[[str], None]) -> None:
         self._types = types_of(self.package, 'autopilot', self.name)
         self.engaged = False
-        self._node, self._frames = node, frames
-        self._switched = switched
+        self._node, self._frames, self._switched = node, frames, switched
         self._odometry_out = node.create_publisher(OdometryMessage, 'odom', qos())
         self._wind_out = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
         self._latest: dict[str, tuple[float, Any]] = {}  # time [s] and value, by event
