@@ -65,12 +65,10 @@ class Managed(LifecycleNodeMixin, Node):
     ``deactivate`` and ``safe``. Endpoints created while it is configured are destroyed when that
     state ends, for whatever reason.
 
-    Args:
-        forced: parameters that cannot be given otherwise.
-
     Attributes:
         kind: its name unless it is remapped.
         specs: the table of its parameters, which are checked and changed as a whole.
+        forced: parameters that cannot be given.
         settings_of: makes settings of the values of all parameters, or raises BadInput.
         given: values given at the start, by parameter.
         settings: made of the present values of all parameters.
@@ -85,10 +83,11 @@ class Managed(LifecycleNodeMixin, Node):
 
     kind: ClassVar[str]
     specs: ClassVar[Sequence[ParameterSpec]]
+    forced: ClassVar[Sequence[Parameter]] = ()
     settings_of: ClassVar[staticmethod[[Values], Any]]
 
-    def __init__(self, *forced: Parameter) -> None:
-        Node.__init__(self, self.kind, parameter_overrides=list(forced))
+    def __init__(self) -> None:
+        Node.__init__(self, self.kind, parameter_overrides=list(self.forced))
         self.exit_code: int | None = None
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.failures = 0
@@ -196,19 +195,14 @@ class Managed(LifecycleNodeMixin, Node):
         A panic in a library written in Rust is no ``Exception``, but no reason to end at once.
         """
         reason = f'{what} failed: {type(error).__name__}: {error}'
-        self._count(what, reason)
-        try:
-            self.safe(Reason(Cause.FAILURE, reason))
-        except Exception as worse:
-            self._count('safe', f'the safe command failed: {type(worse).__name__}: {worse}')
-
-    def _count(self, what: str, reason: str) -> None:
         self.failures += 1
         self._in_a_row[what] += 1
         self.get_logger().error(reason)
         if self._in_a_row[what] >= FAILURES_IN_A_ROW:
             self.get_logger().fatal(f'{what} failed {FAILURES_IN_A_ROW} times in a row: giving up')
             self.exit_code = FAILED
+        if what != 'safe':
+            self.guard(self.safe)(Reason(Cause.FAILURE, reason))
 
     # --- transitions
 

@@ -221,11 +221,9 @@ class SimNode(Managed):
     """A node that simulates the flight described by its parameters."""
 
     kind, specs, settings_of = 'sim', SIM, staticmethod(sim_settings)
+    # It publishes /clock: under simulated time it would wait for itself.
+    forced = (Parameter('use_sim_time', value=False),)
     settings: SimSettings
-
-    def __init__(self) -> None:
-        # It publishes /clock: under simulated time it would wait for itself.
-        super().__init__(Parameter('use_sim_time', value=False))
 
     def configure(self) -> None:
         """Set up the flight described by the parameters."""
