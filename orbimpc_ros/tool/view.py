@@ -34,15 +34,17 @@ from orbimpc_ros.ros.messages import (
     BLUE,
     GREEN,
     ORANGE,
+    UNDATED,
     Frames,
     read_itinerary,
     read_odometry,
     read_sighting,
+    stamp_of,
 )
 from orbimpc_ros.ros.process import LATCHED, LATEST, RANGE, attached, qos
 from orbimpc_ros.ros.topics import VEHICLE
 from orbimpc_ros.tool import bags
-from orbimpc_ros.tool.bags import UNDATED, fields, point, seconds, stamp_of
+from orbimpc_ros.tool.bags import fields, point, seconds
 from orbimpc_ros.tool.processes import Child, interruptions
 
 SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY', 'BROWSER')
