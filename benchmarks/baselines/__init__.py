@@ -37,7 +37,7 @@ def baseline_named(name: str, settings: PlannerSettings, study: str) -> Baseline
 
 
 def tuned_of(study: str) -> dict[str, dict[str, float]]:
-    """Return the tuned numbers of a study, or of the study that it is like, by baseline."""
+    """Return the tuned numbers of a study, or of the one that it is based on, by baseline."""
     known, file = read(str(TUNED)), shared(f'config/studies/{study}.yaml')
-    base = study if file is None else read(str(file)).get('like', study)
+    base = study if file is None else Path(read(str(file))['config']).stem
     return {**known.get(base, {}), **known.get(study, {})}

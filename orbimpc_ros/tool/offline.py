@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import Any
 
@@ -148,7 +148,10 @@ def flown(study: str, controller: str, index: int, values: settings.Values) -> R
         ``controller`` and ``index``; ``caught``, ``time`` to the catch [s] (None without one),
         ``touched`` (whether it ended in a collision), ``failed`` (error of an engine, if any); the
         numbers of ``ticks``, of ``optimal`` and of ``unplanned`` (fallback) ones; ``p50_ms`` and
-        ``longest_ms``, the processor time of a tick; and the row of :func:`_of_way`.
+        ``longest_ms``, the processor time of a tick; the ``closest`` distance to the goal [m] and
+        ``stalls``; of an arrival, the final distance ``missed`` [m] and ``speed`` [m/s]; of a
+        vehicle in an engine, its least ``airspeed`` [m/s] and the largest magnitude of each
+        quantity that the engine reports, such as its ``bank`` [rad].
     """
     simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
     pilot: Any = None  # this package's planner
@@ -169,7 +172,7 @@ def flown(study: str, controller: str, index: int, values: settings.Values) -> R
     except EngineFailure as error:
         failed = str(error)
     spent = [decision.solve_time_ms for decision in ticks] or [0.0]
-    return {
+    row: Row = {
         'controller': controller,
         'index': index,
         'caught': flight.captured,
@@ -181,8 +184,17 @@ def flown(study: str, controller: str, index: int, values: settings.Values) -> R
         'unplanned': sum(decision.fallback is not Fallback.NONE for decision in ticks),
         'p50_ms': float(np.median(spent)),
         'longest_ms': max(spent),
-        **_of_way(way),
+        'closest': min(each.miss for each in way),
+        'stalls': flight.stalls,
     }
+    if simulated.finish == 'arrival':
+        row |= {'missed': flight.distance, 'speed': flight.speed}
+    if flight.vehicle.engine is not None:
+        row['airspeed'] = flight.least_airspeed
+        trail = (vehicle.facts for each in way for vehicle in each.trail if not vehicle.caught)
+        for name, value in chain.from_iterable(facts.items() for facts in trail):
+            row[name] = max(row.get(name, 0.0), abs(value))
+    return row
 
 
 def baselines() -> Any:
@@ -192,22 +204,3 @@ def baselines() -> Any:
         BadInput: the package is not run from a clone of the repository.
     """
     return in_clone('baselines', '--controllers')
-
-
-def _of_way(way: Sequence[Flight]) -> Row:
-    """Return the results on the trajectory of a flight.
-
-    The ``closest`` distance to the goal [m] and ``stalls``; of an arrival, the final distance
-    ``missed`` [m] and ``speed`` [m/s]; of a vehicle in an engine, its least ``airspeed`` [m/s] and
-    the largest magnitude of each quantity that the engine reports, such as its ``bank`` [rad].
-    """
-    last = way[-1]
-    row = {'closest': min(flight.miss for flight in way), 'stalls': last.stalls}
-    if last.settings.finish == 'arrival':
-        row |= {'missed': last.distance, 'speed': last.speed}
-    if last.vehicle.engine is not None:
-        row['airspeed'] = last.least_airspeed
-        trail = (vehicle.facts for flight in way for vehicle in flight.trail if not vehicle.caught)
-        for name, value in chain.from_iterable(facts.items() for facts in trail):
-            row[name] = max(row.get(name, 0.0), abs(value))
-    return row
