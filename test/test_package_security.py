@@ -63,7 +63,7 @@ def endpoints(shared, tmp_path_factory):
     launch('sim', sim, 'spacecraft')
     with mock.patch.dict(os.environ, ROS_DOMAIN_ID=str(observer.domain)):
         bag = tmp_path_factory.mktemp('recorder') / 'bag'
-        recorder = Recorder(bag, topics_of(), {}, ['/planner'])
+        recorder = Recorder(bag, topics_of(), {}, ['planner'])
 
     def names(node, kind):
         found = getattr(observer.node, f'get_{kind}_names_and_types_by_node')(node, '/')

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 
@@ -45,9 +44,10 @@ SPIN = 0.05  # [s]
 # The simulator exits after its flight, and begins once planner and recorder have subscribed.
 OF_A_RUN = {'exit_when_done': True, 'wait_subscribers': 2}
 QUIET, LAST_WORDS = 0.1, 1.0  # [s] of silence that completes a bag, and at most until then
-AGAIN = 0.2  # [s] between repetitions of calls, and of a time on /clock: messages may be lost
+AGAIN = 0.2  # [s] between repetitions of a time on /clock: messages may be lost
 DEPTH = 1000  # a slow disk must not cost messages
 TRIGGER = 'odom'  # a lock-step simulator starts once this topic has its subscribers
+HEALTH = '/diagnostics'  # on which a planner reports every second once it is configured
 
 
 def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -> int:
@@ -164,7 +164,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
     text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={isolate(folder)}, results in {folder}')
-    names, notes = [f'{each}/planner' for each in namespaces], {'parameters': text}
+    names, notes = {f'{each}/planner'.strip('/') for each in namespaces}, {'parameters': text}
     with interruptions() as received, Processes() as started:
 
         def begun(node: str, namespace: str) -> Child:
@@ -255,15 +255,16 @@ class Recorder:
     stamp, or dropped before the first one. The time of sending is recorded, too, and gives the
     order of events.
 
-    The recorder subscribes to odometry once every planner has answered a call. DDS announces
-    endpoints in the order of creation: a planner that has discovered the last one has discovered
-    all subscriptions, and a simulator that waits for this last one finds the recorder complete.
+    The recorder subscribes to the planners' health after all else, and to odometry once it has
+    heard it from each of them. DDS announces endpoints in the order of creation: a planner that is
+    heard has discovered all subscriptions before this one, and a simulator that waits for the last
+    one finds the recorder complete.
 
     Args:
         folder: of the bag, created.
         topics: to record.
         notes: stored in the bag's metadata.
-        planners: nodes that must discover the recorder before it subscribes to odometry.
+        planners: names of the nodes that must discover the recorder before that.
 
     Attributes:
         node: that records.
@@ -276,7 +277,7 @@ class Recorder:
         folder: Path,
         topics: Sequence[Topic],
         notes: dict[str, str],
-        planners: Sequence[str] = ('/planner',),
+        planners: Iterable[str],
     ) -> None:
         self.latest: dict[str, int] = {}
         self._now = UNDATED  # the last stamp [ns]
@@ -287,25 +288,15 @@ class Recorder:
             attached('recorder', enable_rosout=False, start_parameter_services=False)
         )
         self._held = [topic for topic in topics if topic.name.rpartition('/')[2] == TRIGGER]
-        for topic in topics:
+        for topic in sorted(topics, key=lambda topic: topic.name == HEALTH):
             if topic not in self._held:
                 self._listen(topic)
-        self._unmet = {
-            name: self.node.create_client(GetParameters, f'{name}/get_parameters')
-            for name in planners
-        }
-        self.node.create_timer(AGAIN, self._meet)
+        self._unmet = set(planners)
         self._meet()
 
-    def _meet(self) -> None:
-        """Call planners that have not answered yet; when all have, subscribe to odometry, too.
-
-        A planner answers once it is configured.
-        """
-        for name, client in self._unmet.items():
-            if client.service_is_ready():
-                answer = client.call_async(GetParameters.Request())
-                answer.add_done_callback(lambda _, name=name: self._unmet.pop(name, None))
+    def _meet(self, *nodes: str) -> None:
+        """Note which nodes have been heard; after all planners, subscribe to odometry, too."""
+        self._unmet.difference_update(nodes)
         while self._held and not self._unmet:
             self._listen(self._held.pop())
 
@@ -315,7 +306,10 @@ class Recorder:
         self.node.create_subscription(topic.message, topic.name, take, profile, raw=True)
 
     def _take(self, topic: Topic, data: bytes, about: dict[str, Any]) -> None:
-        own = stamp_of(deserialize_message(data, topic.message))
+        message = deserialize_message(data, topic.message)
+        if topic.name == HEALTH:
+            self._meet(*(each.name.partition(':')[0] for each in message.status))
+        own = stamp_of(message)
         self.latest[topic.name] = own
         self._now = self._now if own == UNDATED else own
         if self._now != UNDATED:

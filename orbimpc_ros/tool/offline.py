@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -30,6 +31,7 @@ from orbimpc_ros.tool.files import in_clone
 
 Row = dict[str, Any]
 OURS = 'orbitope'  # this package's controller
+baselines = partial(in_clone, 'baselines', '--controllers')  # returns the package of the others
 
 
 class OfflinePlanner(Core):
@@ -195,12 +197,3 @@ def flown(study: str, controller: str, index: int, values: settings.Values) -> R
         for name, value in chain.from_iterable(facts.items() for facts in trail):
             row[name] = max(row.get(name, 0.0), abs(value))
     return row
-
-
-def baselines() -> Any:
-    """Return the package of the baselines.
-
-    Raises:
-        BadInput: the package is not run from a clone of the repository.
-    """
-    return in_clone('baselines', '--controllers')
