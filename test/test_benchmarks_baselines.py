@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.baselines import BASELINES, baseline_named, tuned_of
+from benchmarks.baselines import BASELINES, baseline_named
 from benchmarks.baselines.baseline import Baseline, Sight
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Ball, MovingObstacle, State
@@ -95,10 +95,6 @@ def flown_on(values, steps, clock=None):
     loop = closed_loop(planner, sim_settings(settings.of_sim(values)))
     assert len(list(itertools.islice(loop, steps))) == steps
     return pilot
-
-
-def test_a_study_has_the_tuning_of_the_one_that_it_is_based_on():
-    assert tuned_of('gates') == tuned_of('crossing') != tuned_of('fixed_wing')
 
 
 def test_baselines_get_bodies_larger_by_the_margin_and_their_motion():

@@ -82,6 +82,8 @@ def test_a_study_has_what_the_one_it_is_based_on_has():
     assert {k for k in own.values if own.values[k] != base.values[k]} == {'capture_radius'}
     assert own.rules == base.rules
     assert draws_of('gates').values == draws_of('crossing').values
+    tuned_of = offline.baselines().tuned_of
+    assert tuned_of('gates') == tuned_of('crossing') != tuned_of('fixed_wing')
 
 
 FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodies: 1,

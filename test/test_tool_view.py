@@ -198,10 +198,8 @@ def test_live_nodes_are_drawn_with_their_markers(launch, domain, monkeypatch):
     # No capture may end the flight while a busy machine is still discovering topics.
     launch('sim', {'step': 0.2, 'clock': 'wall', 'max_ticks': 500, 'capture_radius': 1e-6})
     found = drawing.drawn
-    floor, wanted = (
-        'world/plan_markers/floor/0',
-        ('vehicle', 'goal', 'plan', 'world_markers/rope/0'),
-    )
+    floor = 'world/plan_markers/floor/0'
+    wanted = ('vehicle', 'goal', 'plan', 'world_markers/rope/0')
 
     def going():
         assert time.monotonic() < end, 'in vain'
