@@ -10,6 +10,7 @@ from orbimpc_ros.mpc.kernels import compiled, vectorised
 SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry counts as zero
 DIAGONAL = 1e-32  # squared relative norm of negligible off-diagonal entries
 SWEEPS = 12
+REFUTED = 1e-9  # least value of a proof of infeasibility, relative to the terms that cancel
 
 
 @compiled
@@ -260,3 +261,30 @@ def _rotate(matrix, basis, p, q):
         a, b = basis[r, p], basis[r, q]
         basis[r, p] = c * a - s * b
         basis[r, q] = s * a + c * b
+
+
+@compiled
+def refutes(maps, rows, y):
+    """Return True if multipliers prove that no headings in their balls satisfy rows a . v >= b.
+
+    For all headings z_k, the sum of the rows' violations, weighted by the multipliers, is at least
+    its value at z = 0 minus the norms of its gradients in each z_k (Farkas).
+
+    Args:
+        maps: coefficients of z_1..z_N in the vectors v, shape (P, N).
+        rows: index of the vector v that each of at least M rows constrains; a, shape (.., n); b.
+        y: multipliers of the first M, >= 0, shape (M,).
+    """
+    places, normals, offsets = rows
+    value, magnitude, pull = 0.0, 0.0, np.empty(normals.shape[1])
+    for i in range(len(y)):
+        value += y[i] * offsets[i]
+        magnitude += abs(y[i] * offsets[i])
+    for k in range(maps.shape[1]):
+        pull[:] = 0.0
+        for i in range(len(y)):
+            for c in range(len(pull)):
+                pull[c] += y[i] * maps[places[i], k] * normals[i, c]
+        size = np.sqrt((pull * pull).sum())
+        value, magnitude = value - size, magnitude + size
+    return value > REFUTED * magnitude

@@ -30,17 +30,22 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import COMPILED, bare, compiled, entry_point
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, extend_factor, solve_factored
+from orbimpc_ros.mpc.kernels.linear import (
+    SINGULAR,
+    copy_to,
+    extend_factor,
+    refutes,
+    solve_factored,
+)
 from orbimpc_ros.mpc.model.dynamics import Condensed, suits_dense_code
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
+from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row, stacked
 from orbimpc_ros.mpc.solve.request import Request
 
 SOLVED, STALLED, REFUTED, INTERRUPTED = range(4)  # status of a solve
 ADDED, BLOCKED, BROKEN = range(3)  # status of adding a row
 OUTSIDE = 1e-9  # violation below which a row or ball counts as satisfied
 FLAT = 1e-12  # relative curvature that counts as zero
-ROUNDING = 4e-15  # relative to the terms of a bound
 ITERATIONS = 600
 SLICE = 1e6  # multiplications between two polls of the deadline: about a millisecond
 WORST_CONDITION = 1e7  # above it, too many solves stall by rounding
@@ -85,7 +90,7 @@ class Asked(NamedTuple):
 
 
 class ActiveSet(NamedTuple):
-    """The active rows, with work arrays.
+    """The active rows and behind them a new one, with work arrays.
 
     Attributes:
         at: place of each row, shape (S,).
@@ -137,21 +142,17 @@ def _set_values(gram, free, held, count):
 
 
 @compiled
-def _most_violated(known, asked, values, row):
-    """Find the violated row that raises the dual value most, and set ``row`` to its normal.
-
-    Returns:
-        Its place, -1 if no row is violated; its index as in ``ActiveSet.rows``; its offset.
-    """
-    worst, place, which, offset = 0.0, -1, 0, 0.0
+def _find(known, asked, held, count):
+    """Make the violated row that raises the dual value most the new one; return if there is any."""
+    worst, values, row, found = 0.0, held.values, held.normals[count], False
     n = values.shape[1]
     for m in range(len(asked.places)):
         p, short = asked.places[m], asked.offsets[m]
         for c in range(n):
             short -= asked.normals[m, c] * values[p, c]
         if short > OUTSIDE and short * short > worst * known.gram[p, p]:
-            worst = short * short / max(known.gram[p, p], 1e-300)
-            place, which, offset = p, m, asked.offsets[m]
+            worst, found = short * short / max(known.gram[p, p], 1e-300), True
+            held.at[count], held.rows[count], held.offsets[count] = p, m, asked.offsets[m]
             copy_to(row, asked.normals[m])
     for b in range(len(known.balls)):
         p, square = known.balls[b], 0.0
@@ -159,18 +160,18 @@ def _most_violated(known, asked, values, row):
             square += (values[p, c] - asked.centres[b, c]) ** 2
         short = np.sqrt(square) - asked.radii[b]
         if short > OUTSIDE and short * short > worst * known.gram[p, p]:
-            worst = short * short / max(known.gram[p, p], 1e-300)
-            place, which, offset = p, -1 - b, -asked.radii[b]
+            worst, found = short * short / max(known.gram[p, p], 1e-300), True
+            held.at[count], held.rows[count], held.offsets[count] = p, -1 - b, -asked.radii[b]
             for c in range(n):
                 row[c] = (asked.centres[b, c] - values[p, c]) / np.sqrt(square)
-                offset += row[c] * asked.centres[b, c]
-    return place, which, offset
+                held.offsets[count] += row[c] * asked.centres[b, c]
+    return found
 
 
 @compiled
 def _drop(held, i, count):
     """Drop a row from the active set; return True if the remaining rows are independent."""
-    for j in range(i, count - 1):
+    for j in range(i, count):
         held.at[j], held.rows[j] = held.at[j + 1], held.rows[j + 1]
         held.offsets[j], held.u[j] = held.offsets[j + 1], held.u[j + 1]
         copy_to(held.normals[j], held.normals[j + 1])
@@ -179,36 +180,6 @@ def _drop(held, i, count):
         for k in range(i, j + 1):
             held.gram[j, k] = held.gram[j + 1, k + 1]
     return extend_factor(held.gram, held.factor, i, count - 1, SINGULAR)
-
-
-@compiled
-def _append(held, count, new, row, own, inner):
-    """Append a row to the active set; return True if it is independent of the others.
-
-    Args:
-        held: the active set.
-        count: number of its rows.
-        new: place, index and offset of the row.
-        row: its normal.
-        own: its curvature a . H^-1 a.
-        inner: a . H^-1 a_i for the active rows.
-    """
-    held.at[count], held.rows[count], held.offsets[count] = new
-    copy_to(held.normals[count], row)
-    held.gram[count, count] = own
-    for i in range(count):
-        held.gram[count, i] = inner[i]
-    return extend_factor(held.gram, held.factor, count, count + 1, SINGULAR)
-
-
-@compiled
-def _set_products(known, held, count, place, row, inner):
-    """Set the products of a new row with the active ones, shape (count,)."""
-    for i in range(count):
-        along = 0.0
-        for c in range(len(row)):
-            along += row[c] * held.normals[i, c]
-        inner[i] = along * known.gram[held.at[i], place]
 
 
 @compiled
@@ -222,77 +193,49 @@ def _blocking(held, count, r):
 
 
 @compiled
-def _add(known, held, count, new, row, r, inner):
-    """Add a violated row to the active set, dropping rows that block it.
+def _add(known, held, count, r):
+    """Add the new row to the active set, dropping rows that block it.
 
     Args:
         known: the quadratic.
         held: the active set.
         count: number of its rows.
-        new: place, index and offset of the row.
-        row: its normal.
         r: set to the decrease of the other multipliers per unit of the new one, shape (S,).
-        inner: work array, shape (S,).
 
     Returns:
         ``ADDED``, ``BLOCKED`` if no row can be dropped for it, or ``BROKEN`` by rounding; and the
         new number of rows.
     """
-    place, _, gap = new
-    own, multiplier, size = known.gram[place, place], 0.0, len(held.u)
+    place, row, size = held.at[count], held.normals[count], len(held.u)
+    gap, own, held.u[count] = held.offsets[count], known.gram[place, place], 0.0
     for c in range(len(row)):
         gap -= row[c] * held.values[place, c]
+    for i in range(count + 1):
+        along = 0.0
+        for c in range(len(row)):
+            along += row[c] * held.normals[i, c]
+        held.gram[count, i] = along * known.gram[held.at[i], place]
     for _ in range(4 * size):
-        _set_products(known, held, count, place, row, inner)
-        copy_to(r[:count], inner[:count])
+        copy_to(r[:count], held.gram[count, :count])
         curvature = own - solve_factored(held.factor, r, count)
         blocking, limit = _blocking(held, count, r)
         whole = gap / curvature if curvature > FLAT * own else np.inf
         move = min(limit, whole)
         if move == np.inf:
             return BLOCKED, count
-        multiplier += move
+        held.u[count] += move
         for i in range(count):
             held.u[i] = max(0.0, held.u[i] - move * r[i])
         gap -= move * max(0.0, curvature)
         if whole <= limit:
-            if count == size or not _append(held, count, new, row, own, inner):
-                return BROKEN, 0
-            held.u[count] = multiplier
-            return ADDED, count + 1
+            count += 1
+            if count < size and extend_factor(held.gram, held.factor, count - 1, count, SINGULAR):
+                return ADDED, count
+            return BROKEN, 0
         if not _drop(held, blocking, count):
             return BROKEN, 0
         count -= 1
     return BROKEN, 0
-
-
-@compiled
-def _refutes(known, held, count, new, row, r):
-    """Return True if no |z_k| <= 1 satisfies a blocked new row together with the active rows.
-
-    The multipliers y are 1 for the new row and -r for the others. They prove infeasibility if y . b
-    exceeds the maximum of sum_i y_i a_i . z, and then replace those of the active set.
-    """
-    place, which, offset = new
-    total, magnitude, reached = offset, abs(offset), 0.0
-    for i in range(count):
-        total += max(0.0, -r[i]) * held.offsets[i]
-        magnitude += max(0.0, -r[i]) * abs(held.offsets[i])
-    pull = np.empty(len(row))
-    for k in range(len(known.hessian)):
-        for c in range(len(row)):
-            pull[c] = known.maps[place, k] * row[c]
-            for i in range(count):
-                pull[c] += max(0.0, -r[i]) * known.maps[held.at[i], k] * held.normals[i, c]
-        reached += np.sqrt((pull * pull).sum())
-    if not total > reached + ROUNDING * len(held.u) * (magnitude + reached):
-        return False
-    for i in range(count):
-        held.u[i] = max(0.0, -r[i])
-    held.at[count], held.rows[count], held.offsets[count] = place, which, offset
-    copy_to(held.normals[count], row)
-    held.u[count] = 1.0
-    return True
 
 
 @compiled
@@ -328,27 +271,26 @@ def minimise(known, asked, held, count, work):
         The status, the dual value, and the number of active rows. Their multipliers belong to the
         solution, or if ``REFUTED`` prove infeasibility.
     """
-    row, size = np.zeros(asked.q.shape[1]), len(held.u)
-    r, inner = np.empty(size), np.empty(size)
-    each = float((len(asked.places) + len(known.balls) + count * len(asked.free)) * len(row))
+    r, n = np.empty(len(held.u)), asked.q.shape[1]
+    each = float((len(asked.places) + len(known.balls) + count * len(asked.free)) * n)
     _set_values(known.gram, asked.free, held, count)
     for _ in range(ITERATIONS):
-        new = _most_violated(known, asked, held.values, row)
-        if new[0] < 0:
+        if not _find(known, asked, held, count):
             return SOLVED, _dual_value(known, asked.q, held, count), count
         if work <= 0.0:
             return INTERRUPTED, _dual_value(known, asked.q, held, count), count
-        became, count = _add(known, held, count, new, row, r, inner)
+        became, count = _add(known, held, count, r)
         if became == BROKEN:
             return STALLED, -np.inf, 0
+        work -= each + count * (2.0 * count + len(asked.free) * n)
+        _set_values(known.gram, asked.free, held, count)
         if became == BLOCKED:
-            _set_values(known.gram, asked.free, held, count)
-            bound = _dual_value(known, asked.q, held, count)
-            if _refutes(known, held, count, new, row, r):
+            bound, y = _dual_value(known, asked.q, held, count), np.maximum(0.0, -r[: count + 1])
+            y[count] = 1.0
+            if refutes(known.maps, (held.at, held.normals, held.offsets), y):
+                copy_to(held.u, y)
                 return REFUTED, bound, count + 1
             return STALLED, bound, count
-        work -= each + count * (2.0 * count + len(asked.free) * len(row))
-        _set_values(known.gram, asked.free, held, count)
     return STALLED, _dual_value(known, asked.q, held, count), count
 
 
@@ -410,7 +352,7 @@ class PlaceProgram:
         self._radii[problem.horizon :] = problem.chord
         if problem.max_rate and not problem.turns_are_angles:
             self._centres[problem.horizon] = state.rotation[:, 0]
-        self._edges = _edges(problem, state) if problem.first_turn_is_a_cone else ()
+        self._edges = _edges(problem, state) if problem.first_turn_is_a_cone else []
 
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
@@ -445,19 +387,17 @@ class PlaceProgram:
         return axes if self.problem.dimension == 2 else coordinates(carried(state.attitude, axes))
 
     def _asked(self, rows: Sequence[Row], chords: Array | None) -> Asked:
-        steps, n = self.problem.horizon, self.problem.dimension
-        asked, radii = [(row.place, row.normal, row.offset) for row in rows], self._radii
-        asked += [(0, edge, 0.0) for edge in self._edges]
+        steps, radii = self.problem.horizon, self._radii
         if chords is not None:
             radii = radii.copy()
             radii[steps:] = np.minimum(radii[steps:], chords)
-        places, normals, offsets = zip(*asked, strict=True) if asked else ((), (), ())
-        known = np.array(places, np.int64), np.array(normals).reshape(-1, n)
-        return Asked(self._q, self._free, self._centres, radii, *known, np.array(offsets, float))
+        known = stacked([*rows, *self._edges], self.problem.dimension)
+        return Asked(self._q, self._free, self._centres, radii, *known)
 
 
-def _edges(problem: Problem, state: State) -> Array:
-    """Return normals of the edges of the first turn's cone in the plane, shape (2, 2)."""
+def _edges(problem: Problem, state: State) -> list[Row]:
+    """Return the edges of the first turn's cone in the plane."""
     x, y = state.attitude[:, 0]
     s, c = math.sin(problem.widest_turn), math.cos(problem.widest_turn)
-    return np.array([[s * x - c * y, s * y + c * x], [s * x + c * y, s * y - c * x]])
+    edges = np.array([[s * x - c * y, s * y + c * x], [s * x + c * y, s * y - c * x]])
+    return [Row(0, np.eye(problem.horizon)[0], edge, 0.0) for edge in edges]

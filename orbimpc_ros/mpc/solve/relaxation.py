@@ -36,6 +36,13 @@ class Row(NamedTuple):
     number: int = HEADING
 
 
+def stacked(rows: Sequence[Row], n: int) -> tuple[np.ndarray, Array, Array]:
+    """Return the places, shape (M,), the normals, shape (M, n), and the offsets, shape (M,)."""
+    places = np.array([row.place for row in rows], np.int64)
+    normals = np.array([row.normal for row in rows], float).reshape(-1, n)
+    return places, normals, np.array([row.offset for row in rows], float)
+
+
 class Multipliers(NamedTuple):
     """Multipliers at the solution of a relaxation, or the Farkas certificate of its infeasibility.
 
