@@ -7,9 +7,8 @@ every coordinate of the other two columns. Its additional terms are
 
 - R_k in conv SO(3): S(R_k) >= 0, with a multiplier matrix L_k >= 0;
 - c_k |R_k e1|, the length: the maximum of w . R_k e1 over |w| <= c_k;
-- rows a . v >= b, with multipliers >= 0, on R_k e1 and on positions, which are linear in all R_j e1
-  (not with rho). If the body rate decides R_1 up to its thrust fraction rho, two of them are
-  0 <= rho <= 1, and rho replaces R_1 as the first of its nine coordinates.
+- rows a . v >= b, with multipliers >= 0, on R_k e1 and on positions, which are linear in all R_j
+  e1. If the body rate decides R_1 up to its thrust fraction rho, two of them are 0 <= rho <= 1.
 
 The augmented Lagrangian replaces each by its Moreau envelope of parameter 1/sigma (see
 :mod:`~orbimpc_ros.mpc.kernels.penalty_terms`). It is convex and once differentiable; its
@@ -33,14 +32,13 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point, vectorised
-from orbimpc_ros.mpc.kernels.linear import copy_to, solve_spd
+from orbimpc_ros.mpc.kernels.linear import copy_to, refutes, solve_spd
 from orbimpc_ros.mpc.kernels.penalty_terms import (
     TermMultipliers,
+    inner,
     project,
-    refuted,
     set_columns,
     set_forces,
-    value_of,
 )
 
 SETTLED, STALLED, PAUSED, REFUTED, GOING = range(5)  # outcomes of a minimisation
@@ -88,16 +86,6 @@ def begun(steps: int, sigma: float) -> Iterate:
 
 
 @compiled
-def inner(a, b):
-    """Return the inner product of two arrays, each of shape (n, 9)."""
-    total = 0.0
-    for k in range(len(a)):
-        for c in range(9):
-            total += a[k, c] * b[k, c]
-    return total
-
-
-@compiled
 def apply(terms, force, out):
     """Set ``out`` to P times a force, the response of the quadratic.
 
@@ -107,7 +95,7 @@ def apply(terms, force, out):
         out: shape (n, 9).
     """
     n, inverse = len(force), terms.inverse
-    slid = inner(terms.slide, force) if terms.coasting else 0.0
+    slid = inner(force, terms.slide)
     for k in range(n):
         for c in range(9):
             out[k, c] = slid * terms.slide[k, c]
@@ -193,11 +181,10 @@ def _begin(terms, start, held, force, x, work):
         for i in range(4):
             for j in range(4):
                 work.bases[k, i, j] = 1.0 if i == j else 0.0
-    set_forces(terms, held, force)
+    least = set_forces(terms, held, force)
     apply(terms, force, x)
-    least = 0.5 * inner(force, x)
+    least += inner(force, start) - 0.5 * inner(force, x)
     copy_to(x, start - x)
-    least += value_of(terms, x, held, work.small[0])
     if least < 0.0:
         held.orbitopes[:], held.lengths[:], held.rows[:] = 0.0, 0.0, 0.0
         copy_to(x, start)
@@ -285,7 +272,8 @@ def _ended(terms, cost, worst, budget, limits, progress, new, work):
     gap = abs(cost - numbers[BEST])
     if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
         return SETTLED
-    if len(terms.shares) > len(progress.x) and refuted(terms, new.rows):
+    rows = terms.places, terms.normals, terms.offsets
+    if len(terms.shares) > len(progress.x) and refutes(terms.shares, rows, new.rows):
         numbers[BEST] = np.inf
         copy_to(work.rows[: len(new.rows)], new.rows)
         return REFUTED
@@ -323,10 +311,9 @@ def minimise(terms, start, held, limits, work, progress, budget):
         numbers[BEST] = _begin(terms, start, held, held_force, x, work)
         if numbers[BEST] > 0.0:
             numbers[SIGMA] *= WARM
-    value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
+    value, moved, worst = project(terms, x, held, numbers[SIGMA], new, force, work)
     while True:
         # The residual gradient is force - F.
-        set_forces(terms, new, force)
         copy_to(residual, force - held_force)
         apply(terms, residual, direction)
         left = inner(residual, direction)
@@ -345,7 +332,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
             if near:
                 _keep(new, held)
             stiffen(progress, near, largest)
-            value, moved, worst = project(terms, x, held, numbers[SIGMA], new, work)
+            value, moved, worst = project(terms, x, held, numbers[SIGMA], new, force, work)
             continue
         counts[TAKEN] += 1
         count = set_columns(terms, x, held, numbers[SIGMA], new, work)
@@ -359,7 +346,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
         share = 1.0
         for _ in range(HALVINGS):
             copy_to(trial, x - share * direction)
-            value, moved, worst = project(terms, trial, held, numbers[SIGMA], new, work)
+            value, moved, worst = project(terms, trial, held, numbers[SIGMA], new, force, work)
             reached = quadratic + share * (pull + 0.5 * share * bend) + value
             reached -= 0.5 * moved / numbers[SIGMA]
             if descends(reached, merit, share, numbers[PROMISED]):

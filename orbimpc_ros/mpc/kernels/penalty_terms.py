@@ -31,7 +31,6 @@ from orbimpc_ros.mpc.kernels.linear import (
 )
 
 NEGLIGIBLE = 1e-12  # share of sigma below which a part of the Hessian is left out
-REFUTED = 1e-9  # least value of a proof of infeasibility, relative to the terms that cancel
 ROOM = 13  # rank-one parts of the Hessian for a step: ten of the orbitope, three of the length
 
 
@@ -41,11 +40,12 @@ class Terms(NamedTuple):
     Attributes:
         inverse: P, for R_k e1 and for the other columns, shape (2, n + K, n + K); beyond the n
             steps, for K positions with shares S: P S', S P and S P S'.
-        slide: its product with its transpose is added to P, as the effect of rho, shape (n + K, 9).
+        slide: its product with its transpose is added to P, as the effect of a factor on a coasted
+            R_1; zero without one, shape (n + K, 9).
         lengths: c_k, shape (n,).
-        coasting: whether rho replaces R_1.
+        decided: number of steps, the first ones, without an orbitope.
         shares: of R_1 e1..R_n e1 in the vectors that rows constrain: the identity, and below it
-            their shares in the positions, shape (n + K, n); positions without coasting only.
+            their shares in the positions, shape (n + K, n).
         places: index of the vector that each row constrains, shape (m,).
         normals: of the rows, shape (m, 3).
         offsets: of the rows, shape (m,).
@@ -54,7 +54,7 @@ class Terms(NamedTuple):
     inverse: Array
     slide: Array
     lengths: Array
-    coasting: bool
+    decided: int
     shares: Array
     places: np.ndarray
     normals: Array
@@ -138,6 +138,16 @@ def scratch(n: int, m: int) -> Scratch:
 
 
 @compiled
+def inner(a, b):
+    """Return the inner product of two arrays, each of shape (n, 9) or longer by b."""
+    total = 0.0
+    for k in range(len(a)):
+        for c in range(9):
+            total += a[k, c] * b[k, c]
+    return total
+
+
+@compiled
 def _set_lmi(x, s):
     """Set S(R), the matrix of :func:`orbimpc_ros.mpc.geometry.rotations.lmi`.
 
@@ -203,26 +213,30 @@ def _set_pair(basis, i, j, out):
 
 @compiled
 def set_forces(terms, held, force):
-    """Set the gradient of the terms for fixed multipliers.
+    """Set the gradient of the terms for fixed multipliers; return their value at x = 0.
 
     Args:
         terms: added to the quadratic.
         held: the multipliers.
         force: to be set, shape (n, 9).
     """
+    value = 0.0
     for k in range(len(force)):
         for c in range(9):
             force[k, c] = 0.0
-        if not (k == 0 and terms.coasting):
-            _add_adjoint(held.orbitopes[k], -1.0, force[k])
+        _add_adjoint(held.orbitopes[k], -1.0, force[k])
+        for i in range(4):
+            value -= held.orbitopes[k, i, i]
         for c in range(3):
             force[k, c] += held.lengths[k, c]
     for i in range(len(held.rows)):
         if held.rows[i] > 0.0:
+            value += held.rows[i] * terms.offsets[i]
             for k in range(len(force)):
                 pulled = held.rows[i] * terms.shares[terms.places[i], k]
                 for c in range(3):
                     force[k, c] -= pulled * terms.normals[i, c]
+    return value
 
 
 @compiled
@@ -238,44 +252,15 @@ def _short_of_row(terms, i, x):
 
 
 @compiled
-def refuted(terms, rows):
-    """Return True if multipliers prove that no headings in their balls satisfy the rows.
-
-    For all headings z_k, the sum of the rows' violations, weighted by the multipliers, is at least
-    its value at z = 0 minus the norms of its gradients in each z_k (Farkas).
-
-    Args:
-        terms: give the rows.
-        rows: their multipliers, shape (m,).
-    """
-    value = magnitude = 0.0
-    for i in range(len(rows)):
-        value += rows[i] * terms.offsets[i]
-        magnitude += abs(rows[i] * terms.offsets[i])
-    for k in range(terms.shares.shape[1]):
-        a = b = c = 0.0
-        for i in range(len(rows)):
-            pulled = rows[i] * terms.shares[terms.places[i], k]
-            a += pulled * terms.normals[i, 0]
-            b += pulled * terms.normals[i, 1]
-            c += pulled * terms.normals[i, 2]
-        size = np.sqrt(a * a + b * b + c * c)
-        value, magnitude = value - size, magnitude + size
-    return value > REFUTED * magnitude
-
-
-@compiled
 def _project_rows(terms, x, held, sigma, new):
-    """Project onto non-negative numbers; return the terms' value, |new - held|^2, the violation."""
-    value = moved = worst = 0.0
+    """Project onto non-negative numbers; return |new - held|^2 and the violation."""
+    moved = worst = 0.0
     for i in range(len(held)):
-        missed = _short_of_row(terms, i, x)
-        new[i] = max(0.0, held[i] + sigma * missed)
+        new[i] = max(0.0, held[i] + sigma * _short_of_row(terms, i, x))
         change = new[i] - held[i]
-        value += new[i] * missed
         moved += change * change
         worst = max(worst, abs(change))
-    return value, moved, worst / sigma
+    return moved, worst / sigma
 
 
 @compiled
@@ -295,7 +280,7 @@ def _turn(matrix, basis, other):
 
 @compiled
 def _project_orbitope(x, held, sigma, new, basis, values, small):
-    """Project L - sigma S(R) on the cone; return -<new, S>, |new - L|^2, the violation.
+    """Project L - sigma S(R) on the cone; return |new - L|^2 and the violation.
 
     ``basis`` holds the eigenvectors of the last projection, and is set to those of this one.
     """
@@ -306,13 +291,13 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
         if extend_factor(t, t, 0, 4, SINGULAR):  # as for most steps: the constraint is inactive
             new[:] = 0.0
             values[:] = -1.0
-            return 0.0, 0.0, 0.0
+            return 0.0, 0.0
     for i in range(4):
         for j in range(4):
             t[i, j] = held[i, j] - sigma * s[i, j]
     _turn(t, basis, u)
     diagonalise(t, basis, values)
-    value = moved = worst = 0.0
+    moved = worst = 0.0
     for i in range(4):
         for j in range(i + 1):
             total = 0.0
@@ -321,16 +306,15 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
                     total += values[k] * basis[i, k] * basis[j, k]
             new[i, j] = new[j, i] = total
             share = 1.0 if i == j else 2.0
-            value -= share * total * s[i, j]
             moved += share * (total - held[i, j]) ** 2
             worst = max(worst, abs(total - held[i, j]))
-    return value, moved, worst / sigma
+    return moved, worst / sigma
 
 
 @compiled
 def _project_lengths(x, held, sigma, limits, new, sizes):
-    """Project w + sigma z on balls of radius c; return the terms' value and |new - w|^2."""
-    value = moved = 0.0
+    """Project w + sigma z on balls of radius c; return |new - w|^2."""
+    moved = 0.0
     for k in range(len(x)):
         if limits[k] == 0.0:
             continue
@@ -342,13 +326,12 @@ def _project_lengths(x, held, sigma, limits, new, sizes):
         share = limits[k] / sizes[k] if sizes[k] > limits[k] else 1.0
         for c in range(3):
             new[k, c] *= share
-            value += new[k, c] * x[k, c]
             moved += (new[k, c] - held[k, c]) ** 2
-    return value, moved
+    return moved
 
 
 @compiled
-def project(terms, x, held, sigma, new, work):
+def project(terms, x, held, sigma, new, force, work):
     """Project multipliers + sigma * their factors (Moreau envelopes) for every term.
 
     Args:
@@ -357,45 +340,20 @@ def project(terms, x, held, sigma, new, work):
         held: the current multipliers.
         sigma: the envelopes' inverse parameter.
         new: set to the projections.
+        force: set to the gradient of the terms for these, shape (n, 9).
         work: its ``bases``, ``values`` and ``sizes`` are set for :func:`set_columns`.
 
     Returns:
         The terms' value at the projections, |new - held|^2, the violation of the constraints.
     """
-    value, moved, worst = _project_rows(terms, x, held.rows, sigma, new.rows)
-    v, m = _project_lengths(x, held.lengths, sigma, terms.lengths, new.lengths, work.sizes)
-    value, moved = value + v, moved + m
+    moved, worst = _project_rows(terms, x, held.rows, sigma, new.rows)
+    moved += _project_lengths(x, held.lengths, sigma, terms.lengths, new.lengths, work.sizes)
     before, after = held.orbitopes, new.orbitopes
     bases, values, small = work.bases, work.values, work.small
-    for k in range(1 if terms.coasting else 0, len(x)):
-        v, m, w = _project_orbitope(x[k], before[k], sigma, after[k], bases[k], values[k], small)
-        value, moved, worst = value + v, moved + m, max(worst, w)
-    return value, moved, worst
-
-
-@compiled
-def value_of(terms, x, held, s):
-    """Return the value of the terms for fixed multipliers.
-
-    Args:
-        terms: added to the quadratic.
-        x: shape (n, 9).
-        held: the multipliers.
-        s: working memory, shape (4, 4).
-    """
-    value = 0.0
-    for k in range(len(x)):
-        if not (k == 0 and terms.coasting):
-            _set_lmi(x[k], s)
-            for i in range(4):
-                for j in range(4):
-                    value -= held.orbitopes[k, i, j] * s[i, j]
-        for c in range(3):
-            value += held.lengths[k, c] * x[k, c]
-    for i in range(len(held.rows)):
-        if held.rows[i] > 0.0:
-            value += held.rows[i] * _short_of_row(terms, i, x)
-    return value
+    for k in range(terms.decided, len(x)):
+        m, w = _project_orbitope(x[k], before[k], sigma, after[k], bases[k], values[k], small)
+        moved, worst = moved + m, max(worst, w)
+    return set_forces(terms, new, force) + inner(force, x), moved, worst
 
 
 @compiled
@@ -414,11 +372,8 @@ def set_columns(terms, x, held, sigma, new, work):
         The number of parts.
     """
     step, column, weight = work.step, work.column, work.weight
-    first = 1 if terms.coasting else 0
-    count = _orbitope_columns(first, work.bases, work.values, sigma, step, column, weight)
-    count = _length_columns(
-        x, held.lengths, sigma, terms.lengths, work.sizes, step, column, weight, count
-    )
+    count = _orbitope_columns(terms.decided, sigma, work)
+    count = _length_columns(x, held.lengths, sigma, terms.lengths, work, count)
     for i in range(len(new.rows)):
         if new.rows[i] > 0.0:
             column[count] = 0.0
@@ -429,9 +384,9 @@ def set_columns(terms, x, held, sigma, new, work):
 
 
 @compiled
-def _orbitope_columns(first, bases, values, sigma, step, column, weight):
+def _orbitope_columns(first, sigma, work):
     """Set the Hessian of the orbitopes' envelopes, by pairs of eigenvectors."""
-    count = 0
+    bases, values, count = work.bases, work.values, 0
     for k in range(first, len(bases)):
         for i in range(4):
             if values[k, i] <= 0.0:
@@ -442,16 +397,16 @@ def _orbitope_columns(first, bases, values, sigma, step, column, weight):
                     continue
                 share = 1.0 if both else values[k, i] / (values[k, i] - values[k, j])
                 if share > NEGLIGIBLE:
-                    _set_pair(bases[k], i, j, column[count])
-                    step[count], weight[count] = k, sigma * share
+                    _set_pair(bases[k], i, j, work.column[count])
+                    work.step[count], work.weight[count] = k, sigma * share
                     count += 1
     return count
 
 
 @compiled
-def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
+def _length_columns(x, held, sigma, limits, work, count):
     """Add the Hessian of the lengths' envelopes: c/|v| (I - d d') if |v| > c, v = w + sigma z."""
-    by = np.zeros((3, 3))
+    by, sizes = np.zeros((3, 3)), work.sizes
     for k in range(len(x)):
         if limits[k] == 0.0:
             continue
@@ -460,9 +415,9 @@ def _length_columns(x, held, sigma, limits, sizes, step, column, weight, count):
             by[0, c] = held[k, c] + sigma * x[k, c]
         set_basis(by)
         for i in range(1 if outside else 0, 3):
-            column[count] = 0.0
-            copy_to(column[count, :3], by[i])
-            step[count] = k
-            weight[count] = sigma * limits[k] / sizes[k] if outside else sigma
+            work.column[count] = 0.0
+            copy_to(work.column[count, :3], by[i])
+            work.step[count] = k
+            work.weight[count] = sigma * limits[k] / sizes[k] if outside else sigma
             count += 1
     return count

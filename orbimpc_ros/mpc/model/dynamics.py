@@ -115,22 +115,18 @@ def first_length(problem: Problem, state: State) -> float:
 
 
 def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Array]:
-    """Return the gradient of each cost term in the coordinates x of R_1..R_N, shape (N, d) each."""
-    maps, turn = problem.maps, input_map(problem)[:, 1:]
-    flown = trajectory_of(problem, state, goals, x)
-    missed = position_weights(problem)[:, None] * (flown.positions[1:] - goals)
-    stopped = velocity_weight(problem) * np.outer(maps.arrival[-1, 1:], flown.velocities[-1])
-    turned = coordinates(_inputs_of(problem, flown.rotations))
-    attitude = np.zeros_like(x)
-    attitude[-1] = 2.0 * attitude_weight(problem) * (x[-1] - wanted_coordinates(problem, state))
-    axes = flown.headings[1:]
+    """Return the gradient of each cost term in the coordinates x of R_1..R_N, shape (N, d) each.
+
+    The terms are the quadratic one in x, the linear one, and that of lengths.
+    """
+    condensed, n = Condensed(problem), problem.dimension
+    axes, rest = x[:, :n], x[:, n:]
     kinked = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), KINK)
+    others, turned = condensed.others, other_knowns(problem, state)
     return [
-        on_axes(2.0 * maps.reach[:, 1:].T @ missed),
-        2.0 * input_weight(problem) * turn.T @ turned,
-        on_axes(2.0 * stopped),
+        np.hstack([condensed.hessian @ axes, others.hessian @ rest]),
+        np.hstack([condensed.axes.pulled @ knowns(state, goals), others.pulled @ turned]),
         on_axes(length_weights(problem)[1:, None] * axes / kinked),
-        attitude,
     ]
 
 
@@ -266,6 +262,12 @@ def knowns(state: State, goals: Array) -> Array:
     return known
 
 
+def other_knowns(problem: Problem, state: State) -> Array:
+    """Return the coordinates beyond the first n of R_0 and R_g in rows, shape (2, d - n)."""
+    both = coordinates(state.rotation), wanted_coordinates(problem, state)
+    return np.array(both)[:, problem.dimension :]
+
+
 def suits_dense_code(problem: Problem) -> bool:
     """Return True if a problem is short and well enough conditioned for dense machine code."""
     if problem.horizon > LONGEST:
@@ -293,11 +295,12 @@ class Unconstrained(NamedTuple):
 
     Attributes:
         inverse: of the Hessian over the free steps, projected to the directions that a terminal
-            constraint leaves free, shape (free steps, free steps).
+            constraint leaves free; zero for a given R_1, shape (N, N).
         minimiser: x_1..x_N, shape (N, m).
         bent: H x, shape (N, m).
         least: the cost, as a quadratic form, shape (m, m).
         constant: the cost of x = 0, as a quadratic form, shape (m, m).
+        lift: least moves of x by which the rows of a terminal constraint change by one, (N, rows).
     """
 
     inverse: Array
@@ -305,6 +308,7 @@ class Unconstrained(NamedTuple):
     bent: Array
     least: Array
     constant: Array
+    lift: Array
 
 
 def minimisers(problem: Problem, condensed: Condensed) -> tuple[Unconstrained, Unconstrained]:
@@ -329,15 +333,13 @@ def _unbounded(known: int, quadratic: Quadratic, rows: Array, values: Array) -> 
     """
     hessian, c = quadratic.hessian, np.pad(quadratic.squared, (0, 1))
     q, values = (np.pad(each, ((0, 0), (0, 1))) for each in (quadratic.pulled, values))
-    first = np.zeros((known, q.shape[1]))
-    first[:, -1] = 1.0
-    inverse = np.linalg.inv(hessian[known:, known:])
-    raised = inverse @ rows[:, known:].T
-    lift = raised @ np.linalg.inv(rows[:, known:] @ raised)
+    first = np.zeros_like(q)
+    first[:known, -1] = 1.0
+    inverse = np.pad(np.linalg.inv(hessian[known:, known:]), (known, 0))
+    raised = inverse @ rows.T
+    lift = raised @ np.linalg.inv(rows @ raised)
     inverse = inverse - lift @ raised.T
-    decided = lift @ (values - rows[:, :known] @ first)
-    decided -= inverse @ (q[known:] + hessian[known:, :known] @ first)
-    minimiser = np.concatenate([first, decided])
+    minimiser = first + lift @ (values - rows @ first) - inverse @ (q + hessian @ first)
     bent = hessian @ minimiser
     least = c + minimiser.T @ (0.5 * bent + q)
-    return Unconstrained(inverse, minimiser, bent, 0.5 * (least + least.T), c)
+    return Unconstrained(inverse, minimiser, bent, 0.5 * (least + least.T), c, lift)

@@ -35,11 +35,11 @@ from orbimpc_ros.mpc.model.dynamics import (
     knowns,
     length_weights,
     minimisers,
+    other_knowns,
     suits_dense_code,
-    wanted_coordinates,
 )
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row
+from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, Row, stacked
 from orbimpc_ros.mpc.solve.request import Request
 
 SLICE = 1e6  # multiplications between two polls of the deadline: about a millisecond
@@ -54,9 +54,6 @@ PRECISION = 1e-8  # on constraints
 GAP = 1e-8  # relative
 ROUNDING = 1e-15  # relative to the largest terms that cancel in a cost
 INWARD = 1.0 - 1e-15  # factor on a direction: its length must not exceed 1 by rounding
-Placed = tuple[int, Array | tuple[float, float, float], float]  # a row's place, normal and offset
-FRACTION: tuple[Placed, ...] = (0, (1.0, 0.0, 0.0), 0.0), (0, (-1.0, 0.0, 0.0), -1.0)  # in [0, 1]
-INERT: Placed = 0, (0.0, 0.0, 0.0), -1.0  # a row that is always satisfied
 
 
 class SO3Multipliers:
@@ -69,49 +66,32 @@ class SO3Multipliers:
     """
 
     def __init__(self, problem: Problem, *, coasting: bool = False, beside: bool = False) -> None:
-        self.problem = problem
-        self._given = problem.rotation_order - 1  # at order 2 the state determines R_1
-        self._coasting = coasting and bool(self._given)
-        condensed = self._condensed = Condensed(problem)
-        self._pulls: Array | None = None  # map from slopes to multipliers of the arrival
-        if problem.terminal == 'constraint':
-            self._pulls = np.linalg.pinv(condensed.arrival[0][:, self._given :].T)
-        self._thrust, self._others = minimisers(problem, condensed)
-        self._length = float(length_weights(problem)[1])
-        reach = problem.maps.controls.reshape(-1, problem.horizon)
-        self._reach = reach if beside else reach[:0]
-        self._make_room()
+        self.problem, steps = problem, problem.horizon
+        self._decided = problem.rotation_order - 1  # at order 2 the state decides R_1
+        self._coasting = coasting and bool(self._decided)
+        self._condensed = Condensed(problem)
+        self._thrust, self._others = minimisers(problem, self._condensed)
+        self._speeds = length_weights(problem)[1:]
+        lengths = self._speeds.copy()
+        lengths[: self._decided] = 0.0
+        # Of headings, and then of the control points of all steps.
+        reach = problem.maps.controls.reshape(-1, steps)
+        shares = np.vstack([np.eye(steps), reach if beside else reach[:0]])
+        inverse = np.zeros((2, len(shares), len(shares)))
+        whole = shares @ self._thrust.inverse @ shares.T
+        inverse[0] = 0.5 * (whole + whole.T)
+        inverse[1, :steps, :steps] = self._others.inverse
+        self._slide = np.zeros((len(shares), 9))
+        self._known = inverse, self._slide, lengths, self._decided, shares
+        self._own: tuple[Row, ...] = ()  # of a coasted R_1
+        self._work, self._held = scratch(steps, 2), multipliers(steps, 2)
         self._request: Request | None = None
         self._general: Relaxed | None = None
         if self._may_need_general:
             self._build_general()
         if bare(minimise) is minimise:
             # The first call compiles or loads machine code: at start-up rather than in a tick.
-            self.relax(Request(_rest(self._coasting), np.zeros((problem.horizon, 3))))
-
-    def _make_room(self) -> None:
-        """Allocate the kernel's arrays; rho, if there is one, is the first variable."""
-        n = self._places = self.problem.horizon - self._given + self._coasting
-        own, places = slice(self._coasting, n), n + len(self._reach)
-        self._inverse = np.zeros((2, places, places))
-        for whole, maps in zip(self._inverse, (self._thrust, self._others), strict=True):
-            whole[own, own] = maps.inverse
-        shares = np.eye(n)
-        if len(self._reach):
-            shares = np.vstack([shares, self._reach])
-            whole = shares @ self._thrust.inverse @ shares.T
-            self._inverse[0] = 0.5 * (whole + whole.T)
-        self._start, self._slide = np.zeros((n, 9)), np.zeros((places, 9))
-        self._lengths = length_weights(self.problem)[-n:].copy()
-        if self._coasting:
-            self._lengths[0] = 0.0  # linear in rho
-        self._axes = np.zeros((self.problem.horizon + 5, 3))
-        self._rest = np.zeros((3, 6))
-        self._own = FRACTION if self._coasting else ()
-        count = len(self._own)
-        self._work, self._held = scratch(n, count), multipliers(n, count)
-        known = self._inverse, self._slide, self._lengths, self._coasting, shares
-        self._unbound = Terms(*known, *_arrays(self._own))
+            self.relax(Request(_rest(self._coasting), np.zeros((steps, 3))))
 
     @property
     def _may_need_general(self) -> bool:
@@ -151,47 +131,45 @@ class SO3Multipliers:
 
     def _bind(self, request: Request) -> None:
         """Compute the data that depend only on state and goals."""
-        self._request, state, goals = request, request.state, request.goals
-        axes, rest = self._axes, self._rest
-        axes[:-1] = knowns(state, goals)
-        rest[0] = state.rotation[:, 1:].T.ravel()
-        rest[1] = wanted_coordinates(self.problem, state)[3:]
-        self._least = first_length(self.problem, state)
+        problem, state, thrust, others = self.problem, request.state, self._thrust, self._others
+        self._request, self._least, self._fraction = request, first_length(problem, state), 1.0
+        axes, rest = np.zeros((problem.horizon + 5, 3)), np.zeros((3, 6))
+        axes[:-1], rest[:-1] = knowns(state, request.goals), other_knowns(problem, state)
         if self._coasting:
             assert state.coasted is not None
             self._first = coordinates(state.coasted)
-            self._choose_fraction()
-        elif self._given:
-            self._first = coordinates(state.rotation + self.problem.step * state.rotation_rate)
-            axes[-1], rest[-1] = self._first[:3], self._first[3:]
-            self._least += self._length * math.sqrt(axes[-1] @ axes[-1])
-        self._start[self._coasting :, :3] = (self._thrust.minimiser @ axes)[self._given :]
-        self._start[self._coasting :, 3:] = (self._others.minimiser @ rest)[self._given :]
-        self._least += _quadratic(self._thrust.least, axes) + _quadratic(self._others.least, rest)
-        self._rounding = ROUNDING * _quadratic(self._thrust.constant, axes)
-        bent = float(np.abs(self._thrust.bent @ axes).max())
-        self._scale = max(1.0, bent / USUAL)
+            self._choose_fraction(axes, rest)
+        elif self._decided:
+            self._first = coordinates(state.rotation + problem.step * state.rotation_rate)
+        if self._decided:
+            axes[-1], rest[-1] = self._fraction * self._first[:3], self._fraction * self._first[3:]
+            fast = self._fraction * math.sqrt(self._first[:3] @ self._first[:3])
+            self._least += float(self._speeds[0]) * fast
+        self._start = np.hstack([thrust.minimiser @ axes, others.minimiser @ rest])
+        self._least += _quadratic(thrust.least, axes) + _quadratic(others.least, rest)
+        self._rounding = ROUNDING * _quadratic(thrust.constant, axes)
+        self._scale = max(1.0, float(np.abs(thrust.bent @ axes).max()) / USUAL)
 
-    def _choose_fraction(self) -> None:
-        """Set R_1 = rho * coasted with the rho that is optimal without the orbitopes.
+    def _choose_fraction(self, axes: Array, rest: Array) -> None:
+        """Choose R_1 = rho * coasted with the rho that is optimal without the orbitopes.
 
         The minimiser over all other variables is affine in rho, and its cost a parabola.
+
+        Args:
+            axes: the knowns and a zero, shape (N + 5, 3).
+            rest: the other columns of R_0 and R_g and a zero, shape (3, 6).
         """
-        axes, rest, first = self._axes, self._rest, self._first
-        axes[-1], rest[-1] = 0.0, 0.0
-        slope = 2.0 * float(first[:3] @ (self._thrust.least[-1] @ axes)) + self._length
-        slope += 2.0 * float(first[3:] @ (self._others.least[-1] @ rest))
+        thrust, others, first = self._thrust, self._others, self._first
+        slope = 2.0 * float(first[:3] @ (thrust.least[-1] @ axes)) + float(self._speeds[0])
+        slope += 2.0 * float(first[3:] @ (others.least[-1] @ rest))
         # The coasted rotation has columns of length one.
-        curvature = 2.0 * (self._thrust.least[-1, -1] + 2.0 * self._others.least[-1, -1])
+        curvature = 2.0 * (thrust.least[-1, -1] + 2.0 * others.least[-1, -1])
         curvature = max(curvature, FLATTEST)
-        rho = -slope / curvature
-        axes[-1], rest[-1] = rho * first[:3], rho * first[3:]
-        self._least += self._length * rho
-        self._start[0, 0] = rho
-        self._slide[0, 0] = 1.0
-        self._slide[1:, :3] = np.outer(self._thrust.minimiser[1:, -1], first[:3])
-        self._slide[1:, 3:] = np.outer(self._others.minimiser[1:, -1], first[3:])
-        self._slide /= np.sqrt(curvature)
+        self._fraction = -slope / curvature
+        ways = thrust.minimiser[:, -1:] * first[:3], others.minimiser[:, -1:] * first[3:]
+        self._slide[:] = np.hstack(ways) / np.sqrt(curvature)
+        one = np.eye(self.problem.horizon)[0]
+        self._own = Row(0, one, first[:3], 0.0), Row(0, one, -first[:3], -1.0)
 
     def relax(
         self, request: Request, rows: Sequence[Row] = (), chords: Array | None = None
@@ -202,7 +180,7 @@ class SO3Multipliers:
         """
         if request is not self._request:
             self._bind(request)
-        if not (self._coasting and abs(self._start[0, 0]) > STEEPEST):
+        if abs(self._fraction) <= STEEPEST:
             return self._relaxed(request, rows)
         if request.hurried and self._general is None:
             return Relaxation(None, -np.inf)
@@ -212,7 +190,7 @@ class SO3Multipliers:
         """Solve from the multipliers of the last solve, then without, then by the general one."""
         if any(map(self._is_missed, rows)):
             return Relaxation(None, np.inf, empty=True)
-        terms, bound, told = self._terms(rows), -np.inf, None
+        terms, bound, told = Terms(*self._known, *stacked([*self._own, *rows], 3)), -np.inf, None
         for warm in (True, False):
             self._take_up(len(rows), warm=warm)
             progress, status = self._minimise(terms, request)
@@ -234,7 +212,7 @@ class SO3Multipliers:
     def _minimise(self, terms: Terms, request: Request) -> tuple[Iterate, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
         limits = PRECISION, GAP, self._least, self._rounding, largest
-        progress = begun(self._places, first)
+        progress = begun(self.problem.horizon, first)
         while True:
             status = minimise(terms, self._start, self._held, limits, self._work, progress, SLICE)
             if status != PAUSED or request.late:
@@ -245,89 +223,36 @@ class SO3Multipliers:
 
         Those of the ``count`` half-spaces are zero.
         """
-        own = len(self._own)
-        held = self._held if warm else multipliers(self._places, own)
+        steps, own = self.problem.horizon, len(self._own)
+        held = self._held if warm else multipliers(steps, own)
         self._held = held._replace(rows=np.append(held.rows[:own], np.zeros(count)))
         if len(self._held.rows) > len(self._work.rows):
-            self._work = scratch(self._places, 2 * len(self._held.rows))
+            self._work = scratch(steps, 2 * len(self._held.rows))
 
     def _told(self, request: Request, rows: Sequence[Row], *, empty: bool) -> Multipliers:
         """Return the multipliers of the last solve, or if ``empty`` of its infeasibility."""
         steps, own = self.problem.horizon, len(self._own)
         sizes = self._work.rows[own : own + len(rows)].copy()
-        point, share, tether = self._lowest(), np.zeros((steps, 3)), np.zeros((steps, 3))
-        if len(self._ways) and not empty:
-            share = -length_weights(self.problem)[1:, None] * self._ways
-        pull = np.zeros((0, 3)) if empty else self._pull(request, point)
-        return Multipliers(point, sizes, pull, np.zeros((0, 0)), tether, share)
-
-    def _lowest(self) -> Array:
-        """Return the minimiser of the last Lagrangian, shape (N, 9)."""
-        point = self._of_all(self._work.lowest)
-        if self._given:
-            point[0] = self._first * (self._work.lowest[0, 0] if self._coasting else 1.0)
-        return point
-
-    def _of_all(self, known: Array) -> Array:
-        """Return values of the free rotations extended to all steps, 0 for a given R_1."""
-        if not self._given:
-            return known.copy()
-        found = np.zeros((self.problem.horizon, *known.shape[1:]))
-        found[self._given :] = known[self._coasting :]
-        return found
-
-    @property
-    def _ways(self) -> Array:
-        """Return the directions of the lengths' multipliers, shape (N, 3), or an empty array."""
-        if not self.problem.weights.length:
-            return np.zeros((0, 0))
-        weighed = self._lengths > 0.0
-        ways = np.zeros((self.problem.horizon, 3))
-        ways[-len(weighed) :][weighed] = INWARD * self._work.pushes[weighed]
-        ways[-len(weighed) :][weighed] /= self._lengths[weighed, None]
-        return ways
-
-    def _pull(self, request: Request, point: Array) -> Array:
-        """Return the multipliers of an arrival that cancel the slopes and forces at a point."""
-        if self._pulls is None:
-            return np.zeros((0, 3))
-        slopes, _ = self._condensed.affine(request.state, request.goals)
-        slopes += self._condensed.hessian @ point[:, :3] + self._of_all(self._work.forces)[:, :3]
-        return -(self._pulls @ slopes[self._given :])
+        point, none = self._work.lowest.copy(), np.zeros((steps, 3))
+        pull, share = none[:0], none if empty else -INWARD * self._work.pushes
+        if self.problem.terminal == 'constraint' and not empty:
+            # The multipliers of an arrival cancel slopes and forces.
+            slopes, _ = self._condensed.affine(request.state, request.goals)
+            slopes += self._condensed.hessian @ point[:, :3] + self._work.forces[:, :3]
+            pull = -(self._thrust.lift.T @ slopes)
+        return Multipliers(point, sizes, pull, none[:0, :0], none, share)
 
     def _rotations(self, x: Array) -> Array:
         if self._coasting:
-            fraction = min(1.0, max(0.0, x[0, 0]))
-            return np.concatenate([fraction * self._first[None], x[1:]])
-        return np.concatenate([self._first[None], x]) if self._given else x
-
-    def _terms(self, imposed: Sequence[Row]) -> Terms:
-        if not imposed:
-            return self._unbound
-        known = [*self._own, *map(self._placed, imposed)]
-        places, normals, offsets = _arrays(known)
-        return self._unbound._replace(places=places, normals=normals, offsets=offsets)
-
-    def _placed(self, row: Row) -> Placed:
-        """Return a half-space on what is not given."""
-        place = row.place - self._given + self._coasting
-        if place >= self._coasting:
-            return place, row.normal, row.offset
-        along = float(row.normal @ self._first[:3])
-        return (0, (along, 0.0, 0.0), row.offset) if self._coasting else INERT
+            first = self._first
+            return np.vstack([min(1.0, max(0.0, float(first[:3] @ x[0, :3]))) * first, x[1:]])
+        return x
 
     def _is_missed(self, row: Row) -> bool:
         """Return True if R_1 is given, and on the wrong side of a half-space."""
-        if self._coasting or row.place >= self._given:
+        if self._coasting or row.place >= self._decided:
             return False
         return bool(row.normal @ self._first[:3] < row.offset - PRECISION)
-
-
-def _arrays(rows: Sequence[Placed]) -> tuple[np.ndarray, Array, Array]:
-    """Return the places, shape (M,), the normals, shape (M, 3), and the offsets, shape (M,)."""
-    places = np.array([place for place, _, _ in rows], np.int64)
-    normals = np.array([normal for _, normal, _ in rows], float).reshape(-1, 3)
-    return places, normals, np.array([offset for _, _, offset in rows], float)
 
 
 def _within(x: Array) -> Array:
