@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 29_461,
-    'orbimpc_ros/mpc': 15_339,
+    'orbimpc_ros': 29_305,
+    'orbimpc_ros/mpc': 15_183,
     'orbimpc_ros/loop': 3_346,
     'orbimpc_ros/ros': 4_183,
     'orbimpc_ros/sim': 2_392,
