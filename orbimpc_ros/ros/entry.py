@@ -49,10 +49,7 @@ def _run(node: str) -> int:
     try:
         main = import_module(f'{PACKAGES[node]}.node').main
     except ModuleNotFoundError as error:
-        line = in_a_line(error)
-        if not line:
-            raise
-        print(f'{node}: {line}', file=sys.stderr)
+        print(f'{node}: {in_a_line(error)}', file=sys.stderr)
         return BAD_INPUT
     return int(main())
 
@@ -61,10 +58,10 @@ planner, sim = partial(_run, 'planner'), partial(_run, 'sim')
 
 
 def in_a_line(error: ModuleNotFoundError) -> str:
-    """Return in one line how to install a missing package; empty if it is not a dependency."""
+    """Return in one line how to install a missing package; raise the error of any other module."""
     package = (error.name or '').partition('.')[0]
     if package not in (*OTHERS, *EXTRAS):
-        return ''
+        raise error
     from orbimpc_ros import install  # slow: it reads package metadata
 
     extra = EXTRAS.get(package)

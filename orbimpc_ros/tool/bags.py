@@ -12,7 +12,7 @@ import math
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -54,6 +54,7 @@ QOS = {
     'liveliness_lease_duration': FOREVER,
     'avoid_ros_namespace_conventions': False,
 }  # QoS of the interface, with which a player publishes
+store = cache(partial(get_typestore, Stores.ROS2_JAZZY))  # returns the types of messages
 
 
 class Message(NamedTuple):
@@ -119,12 +120,6 @@ def fields(message: Any) -> dict[str, Any]:
 
 
 # --- reading
-
-
-@lru_cache(maxsize=1)
-def store() -> Any:
-    """Return the message types of ROS 2 Jazzy."""
-    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def of_vehicle(

@@ -52,10 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain(str(error))
         return CODES.get(type(error), FAILED)
     except ModuleNotFoundError as error:
-        line = in_a_line(error)
-        if not line:
-            raise
-        _complain(line)
+        _complain(in_a_line(error))
         return BAD_INPUT
     except KeyboardInterrupt:
         _complain('interrupted')

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -161,14 +161,11 @@ def claimed(domain: int) -> bool:
 def interruptions() -> Iterator[list[int]]:
     """Record SIGINT and SIGTERM instead of being interrupted; yield the list of those received."""
     received: list[int] = []
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    for number in SIGNALS:
-        signal.signal(number, lambda number, _frame: received.append(number))
-    try:
+    with ExitStack() as stack:
+        for number in SIGNALS:
+            before = signal.signal(number, lambda number, _frame: received.append(number))
+            stack.callback(signal.signal, number, before)
         yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 # --- progress
