@@ -12,9 +12,9 @@ stops, and ArduPlane is sent one command, if it is still connected, to resume it
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from typing import Any, ClassVar
@@ -65,23 +65,6 @@ def types_of(package: str, parameter: str, value: str) -> Any:
     except ModuleNotFoundError:
         hint = f'install ros-<distro>-{package.replace("_", "-")}'
         raise BadInput.stating(parameter, f'{value}, and {package} is missing', hint) from None
-
-
-@dataclass(frozen=True)
-class Setpoint:
-    """Setpoint of a wing.
-
-    Attributes:
-        airspeed: true [m/s].
-        heading: of the airspeed vector at the next setpoint, from east, to the left [rad].
-        turn: turn rate, to the left [rad/s].
-        altitude: above the origin [m]; NaN to hold the present one.
-    """
-
-    airspeed: float
-    heading: float
-    turn: float
-    altitude: float = math.nan
 
 
 def bearing(angle: float) -> float:
@@ -150,8 +133,15 @@ class Wing(ABC):
         """Subscribe to the autopilot's measurements, and create the means to send setpoints."""
 
     @abstractmethod
-    def _publish(self, wanted: Setpoint) -> None:
-        """Send a setpoint."""
+    def _publish(self, airspeed: float, heading: float, turn: float, altitude: float) -> None:
+        """Send a setpoint.
+
+        Args:
+            airspeed: true [m/s].
+            heading: of the airspeed vector at the next setpoint, from east, to the left [rad].
+            turn: turn rate, to the left [rad/s].
+            altitude: above the origin [m]; NaN to hold the present one.
+        """
 
     def _keep(self) -> None:  # noqa: B027
         """Keep the mode, or the ability to enter it."""
@@ -172,7 +162,7 @@ class Wing(ABC):
             heading = math.atan2(axis[1], axis[0]) - (settings.step - settings.period) * turn
             heading = math.remainder(heading, 2.0 * math.pi)
             airspeed = settings.forward * command.speed_fraction
-            self._publish(Setpoint(airspeed, heading, turn, altitude))
+            self._publish(airspeed, heading, turn, altitude)
 
     def look(self) -> None:
         """Update whether setpoints may be sent, and keep the mode while they are."""
@@ -247,27 +237,22 @@ class Px4(Wing):
     def _connect(self) -> None:
         types = self._types
         self._share, self._origin = 1.0, math.nan
-        for name, kind, callback in (
-            ('vehicle_local_position', types.VehicleLocalPosition, self._on_position),
-            ('vehicle_attitude', types.VehicleAttitude, self._on_attitude),
-            ('airspeed_validated', types.AirspeedValidated, self._on_airspeed),
-            ('wind', types.Wind, self._on_wind),
-            ('vehicle_status', types.VehicleStatus, self._on_status),
+        for kind, callback in (
+            (types.VehicleLocalPosition, self._on_position),
+            (types.VehicleAttitude, self._on_attitude),
+            (types.AirspeedValidated, self._on_airspeed),
+            (types.Wind, self._on_wind),
+            (types.VehicleStatus, self._on_status),
         ):
-            self._listen(kind, _versioned(f'fmu/out/{name}', kind), callback)
+            self._listen(kind, _topic('fmu/out', kind), callback)
 
     @cached_property
     def _publishers(self) -> dict[type, Publisher]:
         """Return the publishers of setpoints, created on first use: a dry run has none."""
         types, create = self._types, self._node.create_publisher
-        return {
-            kind: create(kind, _versioned(f'fmu/in/{name}', kind), qos())
-            for name, kind in (
-                ('offboard_control_mode', types.OffboardControlMode),
-                ('fixed_wing_lateral_setpoint', types.FixedWingLateralSetpoint),
-                ('fixed_wing_longitudinal_setpoint', types.FixedWingLongitudinalSetpoint),
-            )
-        }
+        setpoints = types.FixedWingLateralSetpoint, types.FixedWingLongitudinalSetpoint
+        kinds = types.OffboardControlMode, *setpoints
+        return {kind: create(kind, _topic('fmu/in', kind), qos()) for kind in kinds}
 
     def _on_attitude(self, message: Any) -> None:
         self._note('attitude', message)
@@ -308,18 +293,18 @@ class Px4(Wing):
         # Of velocity: with position, PX4's own guidance would publish setpoints, too.
         self._tell(self._types.OffboardControlMode, velocity=True)
 
-    def _publish(self, wanted: Setpoint) -> None:
+    def _publish(self, airspeed: float, heading: float, turn: float, altitude: float) -> None:
         self._tell(
             self._types.FixedWingLateralSetpoint,
             course=math.nan,
-            airspeed_direction=bearing(wanted.heading),
-            lateral_acceleration=-wanted.airspeed * wanted.turn,  # to the right
+            airspeed_direction=bearing(heading),
+            lateral_acceleration=-airspeed * turn,  # to the right
         )
         self._tell(
             self._types.FixedWingLongitudinalSetpoint,
-            altitude=self._origin + wanted.altitude,  # above mean sea level
+            altitude=self._origin + altitude,  # above mean sea level
             height_rate=math.nan,
-            equivalent_airspeed=self._share * wanted.airspeed,
+            equivalent_airspeed=self._share * airspeed,
             pitch_direct=math.nan,
             throttle_direct=math.nan,
         )
@@ -367,22 +352,20 @@ class ArduPlane(Wing):
         self._note('mode', message.connected and message.mode == self.mode)
         self.look()
 
-    def _publish(self, wanted: Setpoint) -> None:
+    def _publish(self, airspeed: float, heading: float, turn: float, altitude: float) -> None:
         """Send the commands of a setpoint in sequence; a new setpoint waits for their end."""
         busy = self._due and self._node.steady_now() - self._asked < REFUSALS
         if busy:
             return
-        sideways = wanted.airspeed * wanted.turn
-        ahead = bearing(wanted.heading + AHEAD * sideways / GRAVITY)
-        turn = {'param1': HEADING, 'param2': math.degrees(ahead) % 360.0}
-        airspeed = self._share * wanted.airspeed
+        sideways, speed = airspeed * turn, self._share * airspeed
+        ahead = math.degrees(bearing(heading + AHEAD * sideways / GRAVITY)) % 360.0
+        limit = max(HOLD, abs(sideways))
         self._due = [
-            {'command': CHANGE_HEADING, **turn, 'param3': max(HOLD, abs(sideways))},
-            {'command': CHANGE_SPEED, 'param1': 0.0, 'param2': airspeed, 'param3': 0.0},
+            {'command': CHANGE_HEADING, 'param1': HEADING, 'param2': ahead, 'param3': limit},
+            {'command': CHANGE_SPEED, 'param1': 0.0, 'param2': speed, 'param3': 0.0},
         ]
-        if math.isfinite(wanted.altitude):
-            height = {'frame': ABOVE_HOME, 'z': wanted.altitude}
-            self._due.append({'command': CHANGE_ALTITUDE, **height})
+        if math.isfinite(altitude):
+            self._due.append({'command': CHANGE_ALTITUDE, 'frame': ABOVE_HOME, 'z': altitude})
         self._ask()
 
     def release(self) -> None:
@@ -409,7 +392,8 @@ class ArduPlane(Wing):
 WINGS: dict[str, type[Wing]] = {wing.name: wing for wing in (Px4, ArduPlane)}
 
 
-def _versioned(topic: str, kind: Any) -> str:
-    """Return a topic of PX4, with the version of its message in its name, from 1 on."""
+def _topic(namespace: str, kind: Any) -> str:
+    """Return PX4's topic of a message type, with the message's version in its name, from 1 on."""
+    name = re.sub(r'\B[A-Z]', r'_\g<0>', kind.__name__).lower()
     version = getattr(kind, 'MESSAGE_VERSION', 0)
-    return f'{topic}_v{version}' if version else topic
+    return f'{namespace}/{name}' + (f'_v{version}' if version else '')
