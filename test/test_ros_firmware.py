@@ -16,7 +16,6 @@ from orbimpc_ros.ros.planner import wings
 from orbimpc_ros.ros.planner.wings import ArduPlane, Px4
 
 DRAWS = 2_000
-NAMES = ('airspeed', 'heading', 'turn', 'altitude')
 
 
 def alone(kind, share=1.0, origin=0.0):
@@ -50,13 +49,12 @@ def test_setpoints_there_and_back():
     rng = np.random.default_rng(34)
     for _ in range(DRAWS):
         share, origin = rng.uniform(0.7, 1.0), rng.uniform(-50.0, 900.0)
-        height = math.nan if rng.random() < 0.3 else rng.uniform(5.0, 500.0)
-        turn = rng.uniform(-math.pi, math.pi), rng.normal(scale=0.3)
-        given = rng.uniform(8.0, 60.0), *turn, height
-        wanted = SimpleNamespace(**dict(zip(NAMES, given, strict=True)))
+        speed, course = rng.uniform(8.0, 60.0), rng.uniform(-math.pi, math.pi)
+        spin = rng.normal(scale=0.3)
+        level = math.nan if rng.random() < 0.3 else rng.uniform(5.0, 500.0)
         (px4, told), (arduplane, _) = (alone(kind, share, origin) for kind in (Px4, ArduPlane))
-        px4._publish(*given)
-        arduplane._publish(*given)
+        px4._publish(speed, course, spin, level)
+        arduplane._publish(speed, course, spin, level)
         across, along = told
         # Ranges that the firmwares accept.
         assert -math.pi <= across['airspeed_direction'] <= math.pi
@@ -66,18 +64,18 @@ def test_setpoints_there_and_back():
         airspeed = along['equivalent_airspeed'] / share
         turn = -across['lateral_acceleration'] / airspeed
         heading = wings.bearing(across['airspeed_direction'])
-        same(math.remainder(heading - wanted.heading, 2.0 * math.pi), 0.0)
-        same([airspeed, turn], [wanted.airspeed, wanted.turn])
-        same(along['altitude'] - origin, wanted.altitude)
-        heading, speed, *height = arduplane._due
+        same(math.remainder(heading - course, 2.0 * math.pi), 0.0)
+        same([airspeed, turn], [speed, spin])
+        same(along['altitude'] - origin, level)
+        heading, paced, *height = arduplane._due
         assert 0.0 <= heading['param2'] < 360.0
         assert heading['param3'] >= wings.HOLD  # with 0 the vehicle would not bank
-        assert bool(height) == math.isfinite(wanted.altitude)  # otherwise the altitude is held
-        same(speed['param2'] / share, wanted.airspeed)
-        same([each['z'] for each in height], [wanted.altitude][: len(height)])
-        ahead = wings.AHEAD * wanted.airspeed * wanted.turn / wings.GRAVITY
+        assert bool(height) == math.isfinite(level)  # otherwise the altitude is held
+        same(paced['param2'] / share, speed)
+        same([each['z'] for each in height], [level][: len(height)])
+        ahead = wings.AHEAD * speed * spin / wings.GRAVITY
         found = wings.bearing(math.radians(heading['param2'])) - ahead
-        same(math.remainder(found - wanted.heading, 2.0 * math.pi), 0.0)
+        same(math.remainder(found - course, 2.0 * math.pi), 0.0)
 
 
 @pytest.mark.parametrize(
