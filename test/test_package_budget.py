@@ -5,10 +5,10 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 29_291,
+    'orbimpc_ros': 29_275,
     'orbimpc_ros/mpc': 15_183,
     'orbimpc_ros/loop': 3_346,
-    'orbimpc_ros/ros': 4_180,
+    'orbimpc_ros/ros': 4_164,
     'orbimpc_ros/sim': 2_392,
     'orbimpc_ros/tool': 4_063,
     'benchmarks': 3_364,
