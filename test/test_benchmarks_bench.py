@@ -36,13 +36,9 @@ def solved(each, name, indices):
     """Return the results of a solver on some instances; skip if it is not installed."""
     if name in PACKAGES:
         pytest.importorskip(PACKAGES[name])
-    solver, results = each.solver(name, PATIENCE), []
+    solver = each.solver(name, PATIENCE)
     instances = each.instances(each.problem, max(indices) + 1)
-    for index in indices:
-        solver.prepare(*instances[index])
-        solver.solve()
-        results.append(solver.solution())
-    return results
+    return [solver.ready(*instances[index])() for index in indices]
 
 
 # --- the same problem for all solvers
@@ -100,18 +96,15 @@ class Fake:
 
     def __init__(self, objective=1.0, error=None, log=None, name=''):
         self.objective, self.error, self.log, self.name = objective, error, log, name
-        self.met = 0
 
-    def prepare(self, state, goals):
-        self.met += 1
+    def ready(self, state, goals):
+        return self.solve
 
     def solve(self):
         if self.log is not None:
             self.log.append(self.name)
         if self.error is not None:
             raise self.error
-
-    def solution(self):
         return Solution(self.objective)
 
 

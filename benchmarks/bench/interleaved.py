@@ -62,11 +62,10 @@ def interleaved_run(
 def _run(solver: Solver, instance: Instance, into: Samples, number: int | None) -> None:
     """Solve an instance; a solver's failure does not end the run, but is noted in the table."""
     try:
-        solver.prepare(*instance)
+        solve = solver.ready(*instance)
         begin = time.perf_counter()
-        solver.solve()
+        solution = solve()
         elapsed = time.perf_counter() - begin
-        solution = solver.solution()
     except Exception as error:
         into.refused = f'failed: {type(error).__name__}: {error}'
     else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -26,21 +27,15 @@ class Solution:
 
 
 class Solver(Protocol):
-    """A solver set up for one problem. Only :meth:`solve` is timed."""
+    """A solver set up for one problem."""
 
-    def prepare(self, state: State, goals: Array) -> None:
-        """Set the data of an instance.
+    def ready(self, state: State, goals: Array) -> Callable[[], Solution]:
+        """Return the solve of an instance, which alone is timed.
 
         Args:
             state: start of the plan.
             goals: g_1..g_N, shape (N, n) [m].
         """
-
-    def solve(self) -> None:
-        """Solve the instance."""
-
-    def solution(self) -> Solution:
-        """Return the result of the last solve."""
 
 
 class Ours:
@@ -58,20 +53,15 @@ class Ours:
         self._solver = OwnSolver(problem, projection=PROJECTION, gap_tolerance=gap)
         self._plan: Plan | None = None
 
-    def prepare(self, state: State, goals: Array) -> None:
-        """Set the data of an instance."""
-        self._state, self._goals = state, goals
+    def ready(self, state: State, goals: Array) -> Callable[[], Solution]:
+        """Return a solve like the controller's, including the shift of the previous plan."""
 
-    def solve(self) -> None:
-        """Plan as the controller does, including the shift of the previous plan."""
-        state, goals = self._state, self._goals
-        guess, end = None, time.perf_counter() + self._cap
-        if self._closed_loop and self._solver.takes_guess and self._plan is not None:
-            guess = shifted(self._problem, state, self._plan)
-        self._plan = self._solver.propose(state, goals, guess, lambda: time.perf_counter() > end)
+        def solve() -> Solution:
+            guess, end = None, time.perf_counter() + self._cap
+            if self._closed_loop and self._solver.takes_guess and self._plan is not None:
+                guess = shifted(self._problem, state, self._plan)
+            plan = self._solver.propose(state, goals, guess, lambda: time.perf_counter() > end)
+            self._plan = plan
+            return Solution(plan.objective, plan.gap, not plan.is_closed)
 
-    def solution(self) -> Solution:
-        """Return the plan's objective and proof."""
-        plan = self._plan
-        assert plan is not None
-        return Solution(plan.objective, plan.gap, not plan.is_closed)
+        return solve

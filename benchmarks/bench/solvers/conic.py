@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,19 +35,17 @@ class Conic:
         goals: Any = self._goals
         self._stated = Stated(problem, start, goals)
 
-    def prepare(self, state: State, goals: Array) -> None:
-        """Set the parameters."""
+    def ready(self, state: State, goals: Array) -> Callable[[], Solution]:
+        """Set the parameters; return the solve."""
         for name, parameter in self._start.items():
             parameter.value = getattr(state, name)
         for parameter, goal in zip(self._goals, goals, strict=True):
             parameter.value = goal
+        return self._solved
 
-    def solve(self) -> None:
-        """Solve on one thread."""
+    def _solved(self) -> Solution:
+        """Return the optimal value, proved by duality to the solver's tolerance, on one thread."""
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # of inaccurate solutions: objectives are compared
-            self._value = self._stated.optimum(enforce_dpp=True, max_threads=1)
-
-    def solution(self) -> Solution:
-        """Return the optimal value, proved by duality to the solver's tolerance."""
-        return Solution(float(self._value), TOLERANCE)
+            value = self._stated.optimum(enforce_dpp=True, max_threads=1)
+        return Solution(float(value), TOLERANCE)

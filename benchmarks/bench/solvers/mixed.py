@@ -58,11 +58,12 @@ class MixedInteger:
         self._advance = problem.step * problem.forward
         self._reach = problem.maps.reach[:, 1:]  # coefficients of z in s_1..s_N, shape (N, N)
         self._groups: list[Array] = []  # variables by constraint, step and coordinate
-        self._last: list[Array] = []  # their values in the last solution
+        self._begun = False  # whether the last solution is a warm start
 
-    def prepare(self, state: State, goals: Array) -> None:
-        """Build the model of an instance."""
+    def ready(self, state: State, goals: Array) -> Callable[[], Solution]:
+        """Build the model of an instance; return its solve."""
         problem, self.heading = self.problem, state.attitude[:, 0]
+        last = [np.vectorize(self.value)(group) for group in self._groups] if self._begun else []
         self.open()
         self._groups = []
         z = self._free(problem.horizon, 2, lb=-1.0, ub=1.0)
@@ -88,9 +89,10 @@ class MixedInteger:
         linear, constant = self._affine(state, goals)
         cost = linear.ravel() @ z.ravel() + constant + self._lengths(z[:-1])
         self.minimise((self.factor @ z).ravel(), cost)
-        if self._closed_loop and self._last:
-            moved = [np.concatenate([group[1:], group[-1:]]) for group in self._last]
+        if last:
+            moved = [np.concatenate([group[1:], group[-1:]]) for group in last]
             self.start(zip(_flat(self._groups), _flat(moved), strict=True))
+        return self._solved
 
     def _free(self, *shape: int, **kind: Any) -> Array:
         """Return new variables, one row per step."""
@@ -127,12 +129,10 @@ class MixedInteger:
             self.require(x * x + y * y <= norm * norm)
         return sum(weight * norm for norm in norms)
 
-    def solution(self) -> Solution:
-        """Return objective and gap, and keep the solution for the next start."""
+    def _solved(self) -> Solution:
+        self.solve()
         found = self.found()
-        self._last = []
-        if self._closed_loop and not np.isnan(found.objective):
-            self._last = [np.vectorize(self.value)(group) for group in self._groups]
+        self._begun = self._closed_loop and not np.isnan(found.objective)
         return found
 
 
