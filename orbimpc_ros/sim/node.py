@@ -84,9 +84,8 @@ class LockStep(FlightSimulation):
 
     def _flown(self) -> Course:
         """Fly to the end, waiting at each ``yield`` for a command or for time to pass."""
-        self.wait()
-        while absent := self.awaited(planner=True):
-            self._give_up(absent, self.counted_from, self._patience)
+        for absent, since in self.waiting(planner=True):
+            self._give_up(absent, since, self._patience)
             yield
         half = 0.5 * self.settings.model.step * SECOND  # far above rounding errors
         newest, goal_sent = -np.inf, False  # true time of the newest odometry sent [s]
@@ -163,7 +162,7 @@ class RealTime(FlightSimulation):
         self._expires = -np.inf  # when the last command expires, on the steady clock [s]
         self._stopped = np.inf  # since when the vehicle is stopped; infinite while it is not [s]
         self._begun = -np.inf  # start of this step, on the steady clock [s]; without one, infinite
-        self.wait()
+        self._waiting = self.waiting(planner=False)
 
     @property
     def now(self) -> int:
@@ -205,7 +204,7 @@ class RealTime(FlightSimulation):
     def on_time(self) -> None:
         """Fly a step, unless there has been no command yet, and publish the new state."""
         if self._begun == -np.inf:
-            if self.awaited(planner=False):
+            if next(self._waiting, None):
                 return
         elif self._expires > -np.inf and not self.finished:
             self.fly(min(self._expires, self._stopped) - self._begun)

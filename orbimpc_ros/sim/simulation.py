@@ -7,7 +7,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -44,7 +44,6 @@ class FlightSimulation(ABC):
         flight: its present state.
         view: the messages of it that reach a planner.
         finished: whether the flight has ended.
-        counted_from: begin of waiting, or last sight of a planner that is being configured [s].
         order: the last command.
     """
 
@@ -97,46 +96,46 @@ class FlightSimulation(ABC):
 
     # --- waiting for planner and readers
 
-    def wait(self) -> None:
-        """Start waiting for planner and readers; changes of what is missing are logged."""
-        self._since = self.counted_from = self._met_after = self.node.steady_now()
-        self._announced = ''
+    def waiting(self, *, planner: bool) -> Iterator[tuple[str, float]]:
+        """Yield what is awaited, readers and, if ``planner``, a planner, until all are there.
 
-    def awaited(self, *, planner: bool) -> str:
-        """Describe missing readers and, if ``planner``, a missing planner; empty if complete.
-
-        Only managed planners count as being configured: others may read goals through another node.
+        It comes with the time from which patience counts [s]: the begin, or the last sight of a
+        planner that is being configured. Only managed planners count as such: others may read goals
+        through another node. Changes of what is missing are logged.
         """
-        node, wanted, now = self.node, self.settings.wait_for, self.node.steady_now()
-        found = node.get_publishers_info_by_topic(self._commands.topic_name)
-        planners, goal = {*map(full_name, found)}, self._out['goal'].topic_name
-        silent = planners.difference(self._readers(goal)) if planner else ()
-        coming = [name for name in silent if node.count_publishers(f'{name}/{TRANSITIONS}')]
-        others = {self._name, *planners}
-        there = {topic: sum(n not in others for n in self._readers(topic)) for topic in wanted}
-        missing = [
-            f'{count} of {topic} (there are {there[topic]})'
-            for topic, count in wanted.items()
-            if there[topic] < count
-        ]
-        heard, fewest = self._out['odom'].get_subscription_count(), self.settings.wait_subscribers
-        if missing:
-            self._met_after = now
-        if coming:  # its first start compiles machine code, without a time limit
-            self.counted_from = now
-            awaited = f'{min(coming)} to be configured: it may be compiling machine code'
-        elif heard < fewest:
-            awaited = f'subscribers of odom: {fewest} (there are {heard})'
-        elif missing:
-            awaited = f'readers: {", ".join(missing)}'
-        elif wanted and now - self._met_after < MEETING:
-            awaited = 'the planner to discover its subscribers'
-        else:
-            awaited = self.planner_lacking if planner else ''
-        if awaited not in ('', self._announced) and now - self._since > SILENT:
-            self._announced = awaited
-            self.node.get_logger().info(f'waits for {awaited}')
-        return awaited
+        node, announced = self.node, ''
+        wanted, fewest = self.settings.wait_for, self.settings.wait_subscribers
+        begun = counted_from = met_after = node.steady_now()
+        while True:
+            now = node.steady_now()
+            found = node.get_publishers_info_by_topic(self._commands.topic_name)
+            planners, goal = {*map(full_name, found)}, self._out['goal'].topic_name
+            silent = planners.difference(self._readers(goal)) if planner else ()
+            coming = [name for name in silent if node.count_publishers(f'{name}/{TRANSITIONS}')]
+            others = {self._name, *planners}
+            missing = [
+                f'{count} of {topic} (there are {there})'
+                for topic, count in wanted.items()
+                if (there := sum(n not in others for n in self._readers(topic))) < count
+            ]
+            heard = self._out['odom'].get_subscription_count()
+            if missing:
+                met_after = now
+            if coming:  # its first start compiles machine code, without a time limit
+                counted_from = now
+                awaited = f'{min(coming)} to be configured: it may be compiling machine code'
+            elif heard < fewest:
+                awaited = f'subscribers of odom: {fewest} (there are {heard})'
+            elif missing:
+                awaited = f'readers: {", ".join(missing)}'
+            elif wanted and now - met_after < MEETING:
+                awaited = 'the planner to discover its subscribers'
+            elif not (awaited := self.planner_lacking if planner else ''):
+                return
+            if awaited != announced and now - begun > SILENT:
+                announced = awaited
+                node.get_logger().info(f'waits for {awaited}')
+            yield awaited, counted_from
 
     @property
     def planner_lacking(self) -> str:
