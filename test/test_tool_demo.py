@@ -17,7 +17,7 @@ from rosbags.rosbag2 import Reader
 
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.fleet import vehicles
-from orbimpc_ros.tool import bags, cli, demo, history, settings
+from orbimpc_ros.tool import bags, cli, demo, files, history, settings
 
 LISTED = ('captured', 'cmd_thrust', 'goal_path', 'odom')  # even without messages
 
@@ -300,7 +300,7 @@ def test_what_is_set_holds_for_every_vehicle_and_the_rest_is_read_back_by_namesp
     text = settings.text(values, own)
     for name, drawn in vehicles('fleet', 3, 7).items():
         assert own[name] == {k: each for k, each in drawn.items() if k != 'rope.frequency'}
-        assert settings.read(text, name) == values | own[name]
+        assert settings.read(files.parse(text, name), name, name) == values | own[name]
 
 
 def test_a_collision_is_called_one(capsys):

@@ -15,7 +15,7 @@ from nav_msgs.msg import Odometry
 from PIL import Image
 
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.tool import bags, history, plot, settings
+from orbimpc_ros.tool import bags, files, history, plot, settings
 from orbimpc_ros.tool.history import of_bag
 from orbimpc_ros.tool.settings import config
 
@@ -27,7 +27,7 @@ def at_distances(distances, captured, aside=0.0, **changes):
     own = {'capture_radius': 0.1, 'rope.center': (0.0, 0.0, 0.0)}
     fields = {'solve_time_ms': 2.0, 'gap': 1e-6, 'fallback': '', 'speed_fraction': [1.0, 0.6, 0.6]}
     ticks = tuple((10.0 + k, fields) for k in range(len(distances)))
-    values = settings.read('{}') | own | changes
+    values = settings.read({}) | own | changes
     return made_up(positions, values, ticks=ticks, captured=captured)
 
 
@@ -107,19 +107,19 @@ def test_a_goal_is_caught_within_the_simulators_radius():
 
 def test_a_simulator_may_have_values_of_its_own():
     """From a file or as changes, and after a round trip through a file."""
-    values = settings.read(OWN)
+    values = settings.read(files.parse(OWN, 'own'))
     own = {name for name in values if name.startswith('sim.')}
     assert own == {'sim.forward', 'sim.step', 'sim.wind'}
     assert (values['forward'], values['step'], values['max_ticks']) == (15.0, 0.5, 9)
     told = settings.of_sim(values)
     assert (told['forward'], told['wind'], told['horizon']) == (14.0, (3.0, 0.0, 0.0), 7)
     assert not any(name.startswith('sim.') for name in told)
-    assert settings.read(settings.text(values)) == values
+    assert settings.read(files.parse(settings.text(values), 'own')) == values
     for_both = settings.changed(values, ['wind=[2.0, 0.0, 0.0]'])
     assert settings.of_sim(for_both)['wind'] == for_both['wind'] == (2.0, 0.0, 0.0)
     each = ['wind=[1.0, 0.0, 0.0]', 'sim.wind=[3.0, 0.0, 0.0]']
     for changes in (each, each[::-1]):
-        of_each = settings.changed(settings.read('{}'), changes)
+        of_each = settings.changed(settings.read({}), changes)
         assert of_each['wind'] == (1.0, 0.0, 0.0)
         assert settings.of_sim(of_each)['wind'] == (3.0, 0.0, 0.0)
     alone = settings.changed(values, ['sim.step=0.25'])
@@ -192,9 +192,12 @@ def charts(figure):
 
 
 def test_a_bag_without_notes_is_drawn_by_a_file(tmp_path):
-    (tmp_path / 'mine.yaml').write_text(bags.notes(GOLDEN / 'lander')['parameters'])
+    file, known = tmp_path / 'mine.yaml', bags.notes(GOLDEN / 'lander')['parameters']
+    file.write_text(known)
     bag = write(tmp_path / 'bag', bags.raw(GOLDEN / 'lander'), {})
-    assert of_bag(bag, '', str(tmp_path / 'mine.yaml')).values == of_bag(GOLDEN / 'lander').values
+    assert of_bag(bag, '', str(file)).values == of_bag(GOLDEN / 'lander').values
+    file.write_text(f'{known}\n/uav2/**: {{ros__parameters: {{step: 9.0}}}}')  # of another vehicle
+    assert settings.of_bag(bag, '/uav1', str(file)) == of_bag(GOLDEN / 'lander').values
 
 
 def test_a_flight_is_drawn_into_a_folder_that_is_made(tool, tmp_path):

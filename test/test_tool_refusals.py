@@ -4,6 +4,7 @@
 import json
 import shlex
 from importlib.util import find_spec
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -79,10 +80,7 @@ def no_workers(*_given):
 
 
 def without(package):
-    def load(_name):
-        raise ModuleNotFoundError(name=package)
-
-    return load
+    return Mock(side_effect=ModuleNotFoundError(name=package))
 
 
 MISSING = {

@@ -20,8 +20,7 @@ from orbimpc_ros.mpc.problem import Ball, Box
 from orbimpc_ros.ros.messages import RED, SECOND, Frames, Stamp, marker, shown
 from orbimpc_ros.tool import bags
 
-INSTALL = "pip install 'orbimpc_ros[view]', or with numpy 1 as docs/recording.md says"
-view = pytest.importorskip('orbimpc_ros.tool.view', reason=INSTALL)
+view = pytest.importorskip('orbimpc_ros.tool.view', reason='needs the extra view')
 
 
 class Drawing:

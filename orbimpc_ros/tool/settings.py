@@ -44,7 +44,7 @@ def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    return changed(_of_file(str(file)), changes)
+    return changed(read(files.read(str(file)), str(file)), changes)
 
 
 def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -> Values:
@@ -111,34 +111,29 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Values
         BadInput: no bag, or malformed notes; no such file, or a malformed one.
     """
     if params is not None:
-        return _of_file(params)
-    return read(bags.notes(path).get('parameters', '{}'), namespace, f'{path}: parameters')
+        return read(files.read(params), params, namespace)
+    name = f'{path}: parameters'
+    return read(files.parse(bags.notes(path).get('parameters', '{}'), name), name, namespace)
 
 
-def read(written: str, namespace: str = '', name: str = 'parameters') -> Values:
-    """Return the values in a text made by :func:`text`, and defaults for all others.
+def read(content: Any, name: str = 'parameters', namespace: str = '') -> Values:
+    """Return the values in the content of a parameter file, and defaults for all others.
 
     Args:
-        written: content of the parameter file.
-        namespace: of the vehicle, in the file of a fleet.
+        content: such as of :func:`text`.
         name: of the source, for error messages.
+        namespace: of the vehicle, in the file of a fleet.
 
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
     """
-    content = files.parse(written, name)
-    if namespace and isinstance(content, dict):
-        wanted = ('/**', f'{namespace}/')
-        content = {key: each for key, each in content.items() if str(key).startswith(wanted)}
-    return completed(ROWS.values(), dict(parameters_of(content, name)))
+    return completed(ROWS.values(), dict(parameters_of(content, name, namespace)))
 
 
-def _of_file(file: str) -> Values:
-    return completed(ROWS.values(), dict(parameters_of(files.read(file), file)))
+def parameters_of(content: Any, name: str, namespace: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the parameters in every section of a parameter file, nested names joined by dots.
 
-
-def parameters_of(content: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Yield the parameters of every section of a parameter file, nested names joined by dots.
+    With a ``namespace``, sections in others are left out.
 
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
@@ -148,9 +143,11 @@ def parameters_of(content: Any, name: str) -> Iterator[tuple[str, Any]]:
         needed = 'sections with ros__parameters are needed'
         raise BadInput.stating(name, 'not a parameter file', needed)
     for title, section in found:
-        alone = title.rpartition('/')[2] == 'sim'
+        place, _, node = title.rpartition('/')
+        if namespace and place not in ('', '/**', namespace):
+            continue
         for given, value in _flat(section):
-            known = f'{OF_SIM}{given}' if alone and f'{OF_SIM}{given}' in ROWS else given
+            known = f'{OF_SIM}{given}' if node == 'sim' and f'{OF_SIM}{given}' in ROWS else given
             if known in ROWS:
                 yield known, ROWS[known].typed(value)
             elif given in OF_ROS:
