@@ -115,27 +115,6 @@ def circle(coefficients: Array) -> Array:
     return nearest
 
 
-def arc(coefficients: Array, middle: float) -> tuple[float, Array] | None:
-    """Return frequency and coefficients of the turn that fits an acceleration at ``middle`` [s].
-
-    None if the motion is straight; ``coefficients`` are those of the family ``ACCELERATION``.
-    """
-    square = coefficients[SQUARE]
-    velocity = coefficients[LINEAR] + 2.0 * middle * square
-    speed = float(velocity @ velocity)
-    across = 2.0 * (square - (square @ velocity) / max(speed, TINY) * velocity)
-    rate = math.sqrt(float(across @ across) / max(speed, TINY))
-    if not SLOWEST < rate < FASTEST:
-        return None
-    outward, along = -across / rate**2, velocity / rate
-    c, s = math.cos(rate * middle), math.sin(rate * middle)
-    place = coefficients[ONE] + middle * coefficients[LINEAR] + middle**2 * square
-    turn = np.zeros_like(coefficients)
-    turn[ONE] = place - outward
-    turn[COSINE], turn[SINE] = c * outward - s * along, s * outward + c * along
-    return rate, turn
-
-
 Past = tuple[Array, Array]  # times, shape (M,) [s], and positions, shape (M, n) [m]
 # [rad/s]; geometric below; above, spaced by what twenty seconds of data resolve
 GRID = 2.0 * math.pi * np.concatenate([np.geomspace(0.01, 0.15, 24), np.arange(0.165, 2.0, 0.016)])
@@ -413,9 +392,13 @@ class Bank:
         self._apart: list[tuple[float, Array]] = []  # consecutive outliers so far
         self._lately: list[tuple[float, Array]] = []
         self._fastest = 0.0  # highest observed speed [m/s]
-        swing, carrier = partial(self._seek, SWING, FIXED), partial(self._seek, CARRIER, DRIFTING)
-        others = swing, carrier, self._seek_damped, self._seek_turn
-        self._searches = self._begin_search, *others
+        self._searches = (
+            self._begin_search,
+            partial(self._seek, SWING, FIXED),
+            partial(self._seek, CARRIER, DRIFTING),
+            partial(self._restart, DAMPED),
+            partial(self._restart, TURN),
+        )
 
     def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting; ignore it unless it is newer than the last."""
@@ -587,8 +570,8 @@ class Bank:
             for family in OSCILLATING:
                 if fits.gain[family] > WORTHWHILE:
                     fits.place(*fits.moved(family))
-            self._seek_damped()
-            self._seek_turn()
+            self._restart(DAMPED)
+            self._restart(TURN)
         self._conclude()
 
     def _begin_search(self) -> None:
@@ -605,27 +588,13 @@ class Bank:
         if not fits.rates[family] or misfit < BETTER * fits.misfit[family]:
             fits.place(family, rate, np.zeros_like(fits.coefficients[family]))
 
-    def _seek_damped(self) -> None:
-        """Restart the damped swing from the swing, if that fits better."""
+    def _restart(self, family: int) -> None:
+        """Restart a family from the swing, if that fits better."""
         fits = self._fits
-        self._restart(DAMPED, SWING, fits.rates[SWING], fits.coefficients[SWING])
-
-    def _seek_turn(self) -> None:
-        """Restart the turn from the acceleration, or later from the swing, if that fits better."""
-        fits = self._fits
-        middle = 0.5 * fits.past[0][-1]
-        bend = arc(self._fitted[ACCELERATION], middle)
-        if bend and middle * bend[0] < 1.0:
-            self._restart(TURN, ACCELERATION, *bend)
-        else:
-            self._restart(TURN, SWING, fits.rates[SWING], circle(fits.coefficients[SWING]))
-
-    def _restart(self, family: int, other: int, rate: float, coefficients: Array) -> None:
-        """Place a family where another one is found to oscillate, if that fits better."""
-        fits = self._fits
-        worse = not fits.rates[family] or fits.misfit[family] > WORSE * fits.misfit[other]
-        if worse and coefficients[COSINE].any():
-            fits.place(family, rate, coefficients)
+        swing, rate = fits.coefficients[SWING], fits.rates[SWING]
+        worse = not fits.rates[family] or fits.misfit[family] > WORSE * fits.misfit[SWING]
+        if worse and swing[COSINE].any():
+            fits.place(family, rate, circle(swing) if family == TURN else swing)
 
 
 LOWEST, HIGHEST = 0.01, 2.0  # frequencies considered [Hz], the highest subject to Nyquist
