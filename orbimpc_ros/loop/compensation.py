@@ -341,6 +341,7 @@ class Compensator:
         if not intervals:
             return measured
         inertial, wind = self._problem.inertial, self.disturbance
+        later = measured.time + sum(interval.duration for interval in intervals)
         position, attitude = measured.position, measured.attitude
         carrying = 0.0 * wind if inertial or self._velocity_source == 'air' else wind
         velocity = attitude @ measured.body_velocity
@@ -356,7 +357,6 @@ class Compensator:
                 position = position + time * (attitude @ once + wind)
             attitude = attitude @ exp(time * turning)
         body_velocity = attitude.T @ velocity if inertial else through_air + attitude.T @ carrying
-        later = measured.time + sum(interval.duration for interval in intervals)
         return Odometry(later, position, attitude, body_velocity, np.array(rate))
 
     def _arcs(

@@ -24,7 +24,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.clearance import clearances
-from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
+from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.plan import UNPROVED, Command, Plan, Proof, assemble, followed, stop
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Box, MovingObstacle, Problem
 from orbimpc_ros.mpc.problem.reach import moved_towards
@@ -126,7 +126,7 @@ def _ways(task: Task, proof: Proof) -> Iterator[Plan]:
 def _room(task: Task, plan: Plan, steps: int) -> float:
     """Return the distance of the first steps of a plan, when steered, from hazards [m]."""
     steps, (problem, state, goals) = min(steps, plan.horizon), task.known
-    part, x = replace(problem, horizon=steps), coordinates(plan.rotations[1 : steps + 1])
+    part, x = replace(problem, horizon=steps), plan.x[1 : steps + 1]
     if _cuts_turns(problem):
         x = followed(problem, state, x)
     begun = assemble(part, state, goals[:steps], x, projection=plan.projection, proof=UNPROVED)

@@ -422,10 +422,8 @@ class Planner:
             held = motion.trouble(ends, self._max_rate)
         if self._interception is not None and not shortened and not isinstance(motion, Paced):
             task, (plan, status, words), catch = self._caught(task, self._interception, motion)
-        elif state.hazards:
-            task, (plan, status, words) = self._tracked(task)
         else:
-            plan, status, words = task.solved()
+            task, (plan, status, words) = self._tracked(task)
         reason = Reason(Cause.NONE, joined(words, held, shortened))
         if plan is None:
             nothing = Case(*task.known) if status is Status.INFEASIBLE else None

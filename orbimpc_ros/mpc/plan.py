@@ -111,6 +111,11 @@ class Plan(Trajectory, ByContent):
         sizes.setflags(write=False)
         return sizes
 
+    @cached_property
+    def x(self) -> Array:
+        """Return the rotation coordinates of R_0..R_N, shape (N + 1, d)."""
+        return coordinates(self.rotations)
+
     @property
     def projection_distance(self) -> Array:
         """Return the Frobenius distance from each R_k to its rotation, shape (N + 1,)."""
@@ -151,7 +156,7 @@ def shifted(problem: Problem, state: State, plan: Plan, knots: Array | None = No
     """
     if problem.rotation_order == 2:
         return None
-    x, limited = coordinates(plan.rotations), problem.dimension == 2 and problem.turns_are_angles
+    x, limited = plan.x, problem.dimension == 2 and problem.turns_are_angles
     at = 1.0 + np.arange(1, problem.horizon + 1) if knots is None else knots
     moved = _as_long(problem, x, interpolated(at, np.arange(0.0, len(x)), x), at)
     return followed(problem, state, moved) if limited else moved

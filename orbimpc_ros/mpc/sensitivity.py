@@ -121,7 +121,7 @@ def _tightened(problem: Problem, name: str) -> tuple[Problem, float]:
 
 def _hull(plan: Plan) -> Iterator[Slack]:
     """Yield the eigenvalues of the LMI of conv SO(3) that are zero."""
-    for k, x in enumerate(coordinates(plan.rotations[1:]), start=1):
+    for k, x in enumerate(plan.x[1:], start=1):
         values, vectors = np.linalg.eigh(lmi(x))
         yield from _face(plan, k, vectors[:, values < ACTIVE])
 
@@ -182,7 +182,7 @@ def _thrust(coasted: Array, plan: Plan) -> Iterator[Slack]:
 
 def _at(plan: Plan, k: int, gradient: Array) -> Array:
     """Return a gradient in R_k, given its first entries, as one in R_1..R_N."""
-    full = np.zeros_like(coordinates(plan.rotations[1:]))
+    full = np.zeros_like(plan.x[1:])
     full[k - 1, : len(gradient)] = gradient
     return full
 
@@ -226,7 +226,7 @@ class Explanation:
 def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Explanation:
     """Return the binding constraints of an optimal plan, for g_1..g_N, shape (N, n) [m]."""
     slacks = list(slacks_of(problem, state, goals, plan))
-    terms = gradients_of_cost(problem, state, goals, coordinates(plan.rotations[1:]))
+    terms = gradients_of_cost(problem, state, goals, plan.x[1:])
     nothing = ROUNDING * max(plan.objective, Units.of(problem).cost)  # at the goal gradients vanish
     scale = max(sum(map(np.linalg.norm, terms)), nothing, TINY)
     gradients = np.array([sum(terms), *(slack.gradient for slack in slacks)])

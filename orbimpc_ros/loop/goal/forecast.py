@@ -385,9 +385,14 @@ WORTHWHILE = 0.01  # least gain of a step, in units of the noise
 
 
 class Bank:
-    """Predicts a goal from its sightings by all families of motion at once."""
+    """Predicts a goal from its sightings by all families of motion at once.
+
+    Attributes:
+        model: name of the likeliest motion; empty before the first sighting.
+    """
 
     def __init__(self) -> None:
+        self.model = ''
         self._last: float | None = None
         self._apart: list[tuple[float, Array]] = []  # consecutive outliers so far
         self._lately: list[tuple[float, Array]] = []
@@ -410,11 +415,6 @@ class Bank:
         else:
             self._learn(time, position, time - last)
         self._last = time
-
-    @property
-    def model(self) -> str:
-        """Return the name of the likeliest motion; empty before the first sighting."""
-        return '' if self._last is None else NAMES[int(np.argmax(self._shares))]
 
     def at(self, times: Array) -> Array:
         """Return the predicted positions at ``times``, shape (N,) [s], as shape (N, n) [m].
@@ -501,7 +501,7 @@ class Bank:
         best = self._fits.evidence.max()
         shares = np.exp(self._fits.evidence - best)
         total = shares.sum()
-        self._shares = shares / total
+        self._shares, self.model = shares / total, NAMES[int(np.argmax(shares))]
         self._evidence[self._fits.count] = best + math.log(total)
         self._noises[self._fits.count] = self._fits.noise()
         self._fitted: Array = self._fits.fitted

@@ -21,7 +21,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array, frozen, number
 from orbimpc_ros.mpc.check import holds, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
-from orbimpc_ros.mpc.geometry.rotations import PROJECTIONS, coordinate_count, coordinates
+from orbimpc_ros.mpc.geometry.rotations import PROJECTIONS, coordinate_count
 from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, shifted
@@ -246,7 +246,7 @@ class Solver:
             raise BadInput('state.wanted', None, 'a rotation: the problem asks for one at its end')
         goals = _floats(goals, (self.problem.horizon, self.problem.dimension), 'goals')
         if isinstance(guess, Plan):
-            x = coordinates(guess.rotations[1:])
+            x = guess.x[1:]
             guess = x if x.shape == self._shape else None
         elif guess is not None:
             guess = _floats(guess, self._shape, 'guess')
