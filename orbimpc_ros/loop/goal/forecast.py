@@ -144,8 +144,13 @@ def best_swing(past: Past, middle: int) -> tuple[float, float]:
     return float(GRID[found]), misfit * len(past[0]) / len(times)
 
 
-MEMORY = 768  # sightings
+MEMORY, KEPT = 768, 512  # sightings; those kept when the memory is full
 MOST_DAMPED = 2.0  # [1/s]
+SWINGS_FROM = 6  # sightings
+BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family is restarted from another
+STEPS = 4  # Gauss-Newton steps of a closer analysis
+WORTHWHILE = 0.01  # least gain of a step, in units of the noise
+BENDING = [ONE, LINEAR, COSINE, SINE]  # columns of oscillations
 BENT_FROM = 5  # sightings: any three fit an acceleration
 # For a few numbers at a time: importing SciPy's takes longer than a flight's calls.
 log_gamma = np.vectorize(math.lgamma, otypes=[float])
@@ -169,36 +174,38 @@ RECALLED = 8.0  # largest share recalled from an earlier motion's noise
 
 
 class Fits:
-    """The families fitted to a sequence of sightings in n dimensions.
+    """The families fitted to the sightings of one motion.
+
+    Times and positions within are relative to ``epoch`` [s] and ``origin``, shape (n,) [m].
 
     Attributes:
-        prior: noise known before.
-        weighed: families without a frequency, or moved since they were placed, so that evidence
-            covers the frequency, shape (K,).
-        rates: angular frequencies, shape (K,) [rad/s]; 0 without one, or before it is placed.
-        dampings: shape (K,) [1/s].
-        coefficients: linearisation points, shape (K, 7, n).
         count: number of sightings.
-        misfit: sums of squared residuals, including prior terms, shape (K,) [m^2].
-        evidence: logarithms, shape (K,).
-        noises: variance of sightings according to each family, shape (K,) [m^2].
-        gain: reduction of the misfit by the latest step, in units of the noise, shape (K,).
+        shares: of the families in the evidence, shape (K,).
+        evidence: logarithm for all families together, by the number of sightings so far.
+        noise: estimated with each number of sightings, see :meth:`_noise`.
     """
 
-    def __init__(self, n: int, noise: Noise = UNKNOWN) -> None:
-        self._n, self.prior = n, noise
+    def __init__(self, epoch: float, origin: Array, noise: Noise = UNKNOWN) -> None:
+        self.epoch, self.origin, self._prior = epoch, origin, noise
+        self._n = n = len(origin)
         self._used, self._precision, self._jacobian = layout(n)
         size, rows = self._used.shape
-        self.weighed = ~np.isin(np.arange(size), OSCILLATING)
-        self.rates, self.dampings = np.zeros(size), np.zeros(size)
-        self.coefficients = np.zeros((size, COLUMNS, n))
+        self._rounds = self._searched = 0
+        # Whether a family has no frequency, or has moved since it was placed: evidence covers it.
+        self._weighed = ~np.isin(np.arange(size), OSCILLATING)
+        self._rates = np.zeros(size)  # angular frequencies [rad/s]; 0 if there is none yet
+        self._dampings = np.zeros(size)  # [1/s]
+        self._coefficients = np.zeros((size, COLUMNS, n))  # linearisation points
         self._times, self._seen, self.count = np.zeros(MEMORY), np.zeros((MEMORY, n)), 0
         self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
-        self.gain = self.misfit = self.noises = self.evidence = np.zeros(size)
+        self._gain = np.zeros(size)  # of the misfit by the latest step, in units of the noise
+        self._misfit = np.zeros(size)  # squared residuals, including prior terms [m^2]
+        self._noises = self.shares = np.zeros(size)  # variance of sightings [m^2]
+        self.evidence, self.noise = np.full(MEMORY + 1, -np.inf), [noise] * (MEMORY + 1)
 
     def rows(self, times: Array) -> Array:
         """Return the columns of every family at times, shape (M,) [s], as shape (K, M, 7)."""
-        return columns(times, self.rates[:, None], self.dampings[:, None])
+        return columns(times, self._rates[:, None], self._dampings[:, None])
 
     @property
     def past(self) -> Past:
@@ -208,8 +215,12 @@ class Fits:
     def add(self, times: Array, seen: Array) -> None:
         """Add sightings: times, shape (M,) [s], and positions, shape (M, n) [m]."""
         latest = slice(self.count, self.count + len(times))
-        self._times[latest], self._seen[latest] = times, seen
+        self._times[latest], self._seen[latest] = times - self.epoch, seen - self.origin
         self.count += len(times)
+
+    def at(self, times: Array) -> Array:
+        """Return the positions that each family predicts at times, (M,) [s], shape (K, M, n)."""
+        return self.rows(times - self.epoch) @ self._fitted + self.origin
 
     def place(
         self,
@@ -220,10 +231,10 @@ class Fits:
         weighed: bool = False,
     ) -> None:
         """Linearise a family anew, at a rate and a damping [1/s]; ``solve`` must follow."""
-        self.rates[family], self.dampings[family] = rate, damping
-        self.coefficients[family], self.weighed[family] = coefficients, weighed
+        self._rates[family], self._dampings[family] = rate, damping
+        self._coefficients[family], self._weighed[family] = coefficients, weighed
 
-    def moved(self, family: int) -> tuple[int, float, Array, float, bool]:
+    def _moved(self, family: int) -> tuple[int, float, Array, float, bool]:
         """Return where to ``place`` a family after a Gauss-Newton step.
 
         The step is shortened to where linearity holds.
@@ -231,12 +242,12 @@ class Fits:
         n, step, times = self._n, self._step[family], self.past[0]
         span = float(times[-1] - times[0]) or 1.0
         rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == TURN else 0.0
-        radius = float(np.linalg.norm(self.coefficients[family, COSINE]))
+        radius = float(np.linalg.norm(self._coefficients[family, COSINE]))
         step = step / max(1.0, span * np.abs(step[4 * n :]).max(), 2.0 * rim / max(radius, TINY))
-        rate = min(max(self.rates[family] + step[4 * n], SLOWEST), FASTEST)
-        damping = min(max(self.dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
+        rate = min(max(self._rates[family] + step[4 * n], SLOWEST), FASTEST)
+        damping = min(max(self._dampings[family] + step[4 * n + 1], 0.0), MOST_DAMPED)
         change = np.tensordot(step[: 4 * n], self._jacobian[family, : 4 * n], 1)
-        coefficients = self.coefficients[family] + change
+        coefficients = self._coefficients[family] + change
         if family == TURN:
             coefficients = circle(coefficients)
         return family, rate, coefficients, damping, True
@@ -251,26 +262,26 @@ class Fits:
 
         The prior limits the size of a circle by its speed, that of a swing by its acceleration.
         """
-        shape, rates = slice(2 * self._n, 4 * self._n), self.rates[:, None]
+        shape, rates = slice(2 * self._n, 4 * self._n), self._rates[:, None]
         sizes = 1.0 / SIZE**2 + (rates * rates / PUSH) ** 2
         sizes[TURN] = (rates[TURN] / SPEED) ** 2
         found = self._precision.copy()
         found[:, shape] = np.where(rates > 0.0, sizes, found[:, shape])
-        return np.where(self._used, self.prior.variance * found, 1.0)
+        return np.where(self._used, self._prior.variance * found, 1.0)
 
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
         times, seen = self.past
-        n, (size, rows), (share, scale) = self._n, self._step.shape, self.prior
+        n, (size, rows), (share, scale) = self._n, self._step.shape, self._prior
         known = self._precisions()
         free, pull = known.copy(), np.zeros((size, rows))
-        free[:, :n] = TINY * self.prior.variance  # the place is unconstrained
-        pull[:, n : 2 * n] = self.coefficients[:, LINEAR]
-        pull[:, 2 * n : 4 * n] = self.coefficients[:, COSINE : SINE + 1].reshape(size, -1)
+        free[:, :n] = TINY * self._prior.variance  # the place is unconstrained
+        pull[:, n : 2 * n] = self._coefficients[:, LINEAR]
+        pull[:, 2 * n : 4 * n] = self._coefficients[:, COSINE : SINE + 1].reshape(size, -1)
         pull[TURN] = 0.0
-        self._jacobian = jacobians(self.coefficients)
+        self._jacobian = jacobians(self._coefficients)
         flat, x = self._jacobian.reshape(size, rows, -1), self.rows(times)
-        turned, off = x.transpose(0, 2, 1), seen - x @ self.coefficients
+        turned, off = x.transpose(0, 2, 1), seen - x @ self._coefficients
         normal = flat @ (turned @ x @ self._transposed).reshape(size, -1, rows)
         normal[:, range(rows), range(rows)] += free
         slope = (flat @ (turned @ off).reshape(size, -1, 1))[:, :, 0] - free * pull
@@ -278,43 +289,111 @@ class Fits:
         self._root = np.linalg.inv(factor)
         white = (self._root @ slope[:, :, None])[:, :, 0]
         self._step = (white[:, None, :] @ self._root)[:, 0]
+        step = (self._step[:, None, :] @ flat).reshape(self._coefficients.shape)
+        self._fitted: Array = self._coefficients + step
         explained = np.sum(white * white, axis=1)
         misfit = np.sum(off * off, axis=(1, 2)) + np.sum(free * pull * pull, axis=1) - explained
-        self.misfit = np.maximum(misfit, 0.0)
-        self.noises = (scale + 0.5 * self.misfit) / (share + 0.5 * self.count * n)
+        self._misfit = np.maximum(misfit, 0.0)
+        self._noises = (scale + 0.5 * self._misfit) / (share + 0.5 * self.count * n)
         spread = np.log(known).sum(axis=1) - 2.0 * np.log(np.diagonal(factor, 0, 1, 2)).sum(axis=1)
-        data = data_evidence(self.misfit, self.count * n, share, scale)
-        self.evidence = np.where(self.weighed, ODDS + 0.5 * spread + data, -np.inf)
+        data = data_evidence(self._misfit, self.count * n, share, scale)
+        evidence = np.where(self._weighed, ODDS + 0.5 * spread + data, -np.inf)
         if self.count < BENT_FROM:
-            self.evidence[ACCELERATION] = -np.inf
-        self.gain = np.where(self.rates > 0.0, explained / self.noises, 0.0)
+            evidence[ACCELERATION] = -np.inf
+        whole = float(np.logaddexp.reduce(evidence))
+        self.evidence[self.count], self.shares = whole, np.exp(evidence - whole)
+        self.noise[self.count] = self._noise()
+        self._gain = np.where(self._rates > 0.0, explained / self._noises, 0.0)
 
-    def noise(self) -> Noise:
+    def _noise(self) -> Noise:
         """Return the noise estimated by the likeliest family, as a prior for later motions.
 
         As many numbers as it has parameters are fitted exactly, and carry no information on noise.
         """
-        best = int(np.argmax(self.evidence))
+        best = int(np.argmax(self.shares))
         left = 0.5 * (self.count * self._n - int(self._used[best].sum()))
         if left <= 0.0:
-            return self.prior
-        share, scale = self.prior.share + left, self.prior.scale + 0.5 * float(self.misfit[best])
+            return self._prior
+        share, scale = self._prior.share + left, self._prior.scale + 0.5 * float(self._misfit[best])
         kept = min(share, RECALLED)
         return Noise(kept, kept * max(scale / share, LEAST))
 
-    @property
-    def fitted(self) -> Array:
-        """Return the coefficients with the latest step applied, shape (K, 7, n)."""
-        size, rows = self._step.shape
-        step = (self._step[:, None, :] @ self._jacobian.reshape(size, rows, -1))[:, 0]
-        return self.coefficients + step.reshape(self.coefficients.shape)
-
-    def spread(self, rows: Array) -> Array:
-        """Return the total variance of predictions at ``rows``, (K, 7), per unit of noise, (K,)."""
+    def variance(self, time: float) -> Array:
+        """Return the total variance of a sighting at a time [s] by each family, (K,) [m^2]."""
+        rows = self.rows(np.array([time - self.epoch]))[:, 0]
         size, count = self._step.shape
         moved = (rows[:, None, :] @ self._transposed).reshape(size, self._n, count)
         white = moved @ self._root.transpose(0, 2, 1)
-        return np.sum(white * white, axis=(1, 2))
+        return np.asarray(self._noises * (1.0 + np.sum(white * white, axis=(1, 2))))
+
+    def shortened(self) -> Fits:
+        """Return the fits without the oldest sightings, but with the present estimates."""
+        times, seen = (each[-KEPT:] for each in self.past)
+        ways, since = self.rows(times) @ self._fitted - seen[0], times - times[0]
+        kept = Fits(self.epoch + times[0], self.origin + seen[0], self._prior)
+        kept.add(self.epoch + times, self.origin + seen)
+        for family in np.flatnonzero(self._rates).tolist():
+            rate, damping = self._rates[family], self._dampings[family]
+            x, coefficients = columns(since, rate, damping), np.zeros_like(self._fitted[family])
+            found = np.linalg.lstsq(x[:, BENDING], ways[family], rcond=None)[0]
+            coefficients[BENDING] = found
+            kept.place(family, rate, coefficients, damping, bool(self._weighed[family]))
+        kept.solve()
+        return kept
+
+    # --- oscillations
+
+    def improve(self) -> None:
+        """Step one oscillation, and search for a better one, each at its turn."""
+        turn = (self._rounds + 1) % len(OSCILLATING)
+        raw = [each for each in OSCILLATING if self._rates[each] and not self._weighed[each]]
+        order = *raw, *OSCILLATING[turn:], *OSCILLATING[:turn]
+        moved = [self._moved(each) for each in order if self._gain[each] > WORTHWHILE][:1]
+        searches = (
+            self._begin_search,
+            partial(self._seek, SWING, FIXED),
+            partial(self._seek, CARRIER, DRIFTING),
+            partial(self._restart, DAMPED),
+            partial(self._restart, TURN),
+        )
+        searches[self._rounds % len(searches)]()
+        for each in moved:
+            self.place(*each)
+        self._rounds += 1
+
+    def look_closely(self) -> None:
+        """Do at once all that is otherwise spread over many sightings."""
+        self._begin_search()
+        self._seek(SWING, FIXED)
+        self._seek(CARRIER, DRIFTING)
+        for _ in range(STEPS):
+            self.solve()
+            for family in OSCILLATING:
+                if self._gain[family] > WORTHWHILE:
+                    self.place(*self._moved(family))
+            self._restart(DAMPED)
+            self._restart(TURN)
+        self.solve()
+
+    def _begin_search(self) -> None:
+        """Choose the sightings in which swings are sought: all so far."""
+        self._searched = self.count
+
+    def _seek(self, family: int, middle: int) -> None:
+        """Place a family at the frequency of the best swing, if that fits better."""
+        if self._searched < SWINGS_FROM:
+            return
+        times, seen = (each[: self._searched] for each in self.past)
+        rate, misfit = best_swing((times, seen), middle)
+        if not self._rates[family] or misfit < BETTER * self._misfit[family]:
+            self.place(family, rate, np.zeros_like(self._coefficients[family]))
+
+    def _restart(self, family: int) -> None:
+        """Restart a family from the swing, if that fits better."""
+        swing, rate = self._coefficients[SWING], self._rates[SWING]
+        worse = not self._rates[family] or self._misfit[family] > WORSE * self._misfit[SWING]
+        if worse and swing[COSINE].any():
+            self.place(family, rate, circle(swing) if family == TURN else swing)
 
 
 def data_evidence(
@@ -369,19 +448,13 @@ def evidence_anew(past: Past, lengths: np.ndarray, noises: Array) -> Array:
 LENGTHS = np.array([2, 4, 6, 8, 10, 12, 16, 20, 26, 34, 42, 50])
 TIE = 4.0  # lengths with evidence this close count as equal; the longest is chosen
 RARE = -5.0  # logarithm of the prior odds of a change of course at a sighting
-KEPT = 512  # sightings, when the memory is full
 BELIEVED = 3  # consecutive outliers that start a new motion
 GATE = 6.0  # standard deviations beyond which a sighting is an outlier
 AGILE = 5.0  # [m/s^2] unpredicted acceleration that a goal may have
 LOST = 60.0  # [s] gap between sightings after which a motion starts anew
-SWINGS_FROM = 6  # sightings
 PATIENCE, MOST_ROUNDS = 0.5, 3  # [s] of waiting per round of work, and their largest number
-BENDING = [ONE, LINEAR, COSINE, SINE]  # columns of oscillations
 LIKELY, NEGLIGIBLE = 1e-2, 1e-4  # shares
-BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family is restarted from another
-STEPS = 4  # Gauss-Newton steps of a closer analysis
 SPEED_OVER = 0.5  # [s]
-WORTHWHILE = 0.01  # least gain of a step, in units of the noise
 
 
 class Bank:
@@ -394,16 +467,10 @@ class Bank:
     def __init__(self) -> None:
         self.model = ''
         self._last: float | None = None
+        self._fits: Fits  # of the present motion, from the first sighting on
         self._apart: list[tuple[float, Array]] = []  # consecutive outliers so far
         self._lately: list[tuple[float, Array]] = []
         self._fastest = 0.0  # highest observed speed [m/s]
-        self._searches = (
-            self._begin_search,
-            partial(self._seek, SWING, FIXED),
-            partial(self._seek, CARRIER, DRIFTING),
-            partial(self._restart, DAMPED),
-            partial(self._restart, TURN),
-        )
 
     def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting; ignore it unless it is newer than the last."""
@@ -414,7 +481,7 @@ class Bank:
             self._begin(np.array([time]), position[None])
         else:
             self._learn(time, position, time - last)
-        self._last = time
+        self._last, self.model = time, NAMES[int(np.argmax(self._fits.shares))]
 
     def at(self, times: Array) -> Array:
         """Return the predicted positions at ``times``, shape (N,) [s], as shape (N, n) [m].
@@ -423,16 +490,15 @@ class Bank:
         own position at the last sighting is limited by the highest speed observed.
         """
         assert self._last is not None
-        used, fits = np.flatnonzero(self._shares > NEGLIGIBLE), self._fits
-        shares, fitted = self._shares[used] / self._shares[used].sum(), self._fitted[used]
-        now = fits.rows(np.array([self._last - self._epoch]))[used] @ fitted
-        places = fits.rows(times - self._epoch)[used] @ fitted
+        used, fits = np.flatnonzero(self._fits.shares > NEGLIGIBLE), self._fits
+        shares = fits.shares[used] / fits.shares[used].sum()
+        now, places = (fits.at(each)[used] for each in (np.array([self._last]), times))
         moved, reach = places - now, self._fastest * np.maximum(times - self._last, 0.0)
         size = np.linalg.norm(moved, axis=2)
         share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
         share[:, times <= self._last] = 1.0
         mean = shares @ (now + share[..., None] * moved).reshape(len(shares), -1)
-        return np.asarray(mean.reshape(len(times), -1) + self._origin)
+        return np.asarray(mean.reshape(len(times), -1))
 
     def _note_speed(self, time: float, position: Array) -> None:
         """Record the goal's recent speed, over half a second or the last two sightings."""
@@ -453,69 +519,49 @@ class Bank:
         self._add(time, position)
         if self._fits.count >= SWINGS_FROM:
             for _ in range(min(max(1, round(waited / PATIENCE)), MOST_ROUNDS)):
-                self._improve()
-        self._conclude()
+                self._fits.improve()
+        self._fits.solve()
         if self._changed():
             self._reconsider()
         if self._fits.count == MEMORY:
-            self._shorten()
+            self._fits = self._fits.shortened()
 
     def _add(self, time: float, position: Array) -> None:
         self._note_speed(time, position)
-        self._fits.add(np.array([time - self._epoch]), position[None] - self._origin)
+        self._fits.add(np.array([time]), position[None])
 
     def _doubt(self, time: float, position: Array) -> None:
         """Set an outlier aside; with some more it starts a new motion."""
         self._apart.append((time, position))
         if len(self._apart) == BELIEVED:
             times, seen = zip(*self._apart, strict=True)
-            self._begin(np.array(times), np.array(seen), self._fits.noise())
+            self._begin(np.array(times), np.array(seen), self._fits.noise[self._fits.count])
 
     def _expected(self, time: float, position: Array, waited: float) -> bool:
         """Return True if any motion with a considerable share predicts the goal near there."""
-        rows = self._fits.rows(np.array([time - self._epoch]))[:, 0]
-        off = (rows[:, None, :] @ self._fitted)[:, 0] - (position - self._origin)
-        spread = self._fits.noises * (1.0 + self._fits.spread(rows))
-        allowed = GATE**2 * (spread + (0.5 * AGILE * waited * waited) ** 2)
+        fits = self._fits
+        off = fits.at(np.array([time]))[:, 0] - position
+        allowed = GATE**2 * (fits.variance(time) + (0.5 * AGILE * waited * waited) ** 2)
         near = np.sum(off * off, axis=1) <= allowed
-        return bool(np.any(near & (self._shares > LIKELY)))
+        return bool(np.any(near & (fits.shares > LIKELY)))
 
     def _begin(self, times: Array, seen: Array, noise: Noise = UNKNOWN) -> None:
         """Start anew with the first sightings of a motion: times, (M,), and positions, (M, n)."""
-        self._start_from(float(times[0]), seen[0].copy(), noise)
+        self._fits, self._apart = Fits(float(times[0]), seen[0].copy(), noise), []
         for time, position in zip(times.tolist(), seen, strict=True):
             self._add(time, position)
-            self._conclude()
-
-    def _start_from(self, epoch: float, origin: Array, noise: Noise) -> None:
-        """Forget all sightings; later ones are relative to a time [s] and a position, (n,)."""
-        self._epoch, self._origin = epoch, origin
-        # Of one motion through all sightings up to each, and its noise.
-        self._evidence, self._noises = np.full(MEMORY + 1, -np.inf), np.ones((MEMORY + 1, 2))
-        self._fits = Fits(len(origin), noise)
-        self._rounds, self._searched, self._apart = 0, 0, []
-
-    def _conclude(self) -> None:
-        """Fit the families and compute their shares."""
-        self._fits.solve()
-        best = self._fits.evidence.max()
-        shares = np.exp(self._fits.evidence - best)
-        total = shares.sum()
-        self._shares, self.model = shares / total, NAMES[int(np.argmax(shares))]
-        self._evidence[self._fits.count] = best + math.log(total)
-        self._noises[self._fits.count] = self._fits.noise()
-        self._fitted: Array = self._fits.fitted
+            self._fits.solve()
 
     def _changed(self) -> int:
         """Return the number of sightings of a new motion, if one is likely; otherwise 0."""
-        count = self._fits.count
-        lengths = LENGTHS[count > LENGTHS]
+        fits = self._fits
+        lengths = LENGTHS[fits.count > LENGTHS]
         if not len(lengths):
             return 0
-        before = count - lengths
-        gain = self._evidence[before]
-        gain = gain + evidence_anew(self._fits.past, lengths, self._noises[before])
-        if gain.max() + RARE <= self._evidence[count]:
+        before = fits.count - lengths
+        noises = np.array([fits.noise[each] for each in before])
+        gain = fits.evidence[before] + evidence_anew(fits.past, lengths, noises)
+        if gain.max() + RARE <= fits.evidence[fits.count]:
             return 0
         return int(lengths[np.flatnonzero(gain > gain.max() - TIE)[-1]])
 
@@ -523,78 +569,12 @@ class Bank:
         """Start anew with a new motion, unless an oscillation explains it on closer analysis."""
         fits = self._fits
         if fits.count >= SWINGS_FROM:
-            self._look_closely()
+            fits.look_closely()
         new = self._changed()
         if new:
             times, seen = fits.past
-            begun = times[-new:] + self._epoch, seen[-new:] + self._origin
-            self._begin(*begun, Noise(*map(float, self._noises[fits.count - new])))
-
-    def _shorten(self) -> None:
-        """Drop the oldest sightings, but keep the present estimates."""
-        before = self._fits
-        times, seen = (each[-KEPT:] for each in before.past)
-        ways = before.rows(times) @ self._fitted
-        self._start_from(self._epoch + times[0], self._origin + seen[0], before.prior)
-        self._fits.add(times - times[0], seen - seen[0])
-        for family in np.flatnonzero(before.rates).tolist():
-            rate, damping = before.rates[family], before.dampings[family]
-            x = columns(times - times[0], rate, damping)[:, BENDING]
-            coefficients = np.zeros_like(before.coefficients[family])
-            coefficients[BENDING] = np.linalg.lstsq(x, ways[family] - seen[0], rcond=None)[0]
-            weighed = bool(before.weighed[family])
-            self._fits.place(family, rate, coefficients, damping, weighed)
-        self._conclude()
-
-    # --- oscillations
-
-    def _improve(self) -> None:
-        """Step one oscillation, and search for a better one, each at its turn."""
-        fits, turn = self._fits, (self._rounds + 1) % len(OSCILLATING)
-        raw = [each for each in OSCILLATING if fits.rates[each] and not fits.weighed[each]]
-        order = *raw, *OSCILLATING[turn:], *OSCILLATING[:turn]
-        moved = [fits.moved(each) for each in order if fits.gain[each] > WORTHWHILE][:1]
-        self._searches[self._rounds % len(self._searches)]()
-        for each in moved:
-            fits.place(*each)
-        self._rounds += 1
-
-    def _look_closely(self) -> None:
-        """Do at once all that is otherwise spread over many sightings."""
-        fits = self._fits
-        self._begin_search()
-        self._seek(SWING, FIXED)
-        self._seek(CARRIER, DRIFTING)
-        for _ in range(STEPS):
-            self._conclude()
-            for family in OSCILLATING:
-                if fits.gain[family] > WORTHWHILE:
-                    fits.place(*fits.moved(family))
-            self._restart(DAMPED)
-            self._restart(TURN)
-        self._conclude()
-
-    def _begin_search(self) -> None:
-        """Choose the sightings in which swings are sought: all so far."""
-        self._searched = self._fits.count
-
-    def _seek(self, family: int, middle: int) -> None:
-        """Place a family at the frequency of the best swing, if that fits better."""
-        fits = self._fits
-        if self._searched < SWINGS_FROM:
-            return
-        times, seen = (each[: self._searched] for each in fits.past)
-        rate, misfit = best_swing((times, seen), middle)
-        if not fits.rates[family] or misfit < BETTER * fits.misfit[family]:
-            fits.place(family, rate, np.zeros_like(fits.coefficients[family]))
-
-    def _restart(self, family: int) -> None:
-        """Restart a family from the swing, if that fits better."""
-        fits = self._fits
-        swing, rate = fits.coefficients[SWING], fits.rates[SWING]
-        worse = not fits.rates[family] or fits.misfit[family] > WORSE * fits.misfit[SWING]
-        if worse and swing[COSINE].any():
-            fits.place(family, rate, circle(swing) if family == TURN else swing)
+            begun = times[-new:] + fits.epoch, seen[-new:] + fits.origin
+            self._begin(*begun, fits.noise[fits.count - new])
 
 
 LOWEST, HIGHEST = 0.01, 2.0  # frequencies considered [Hz], the highest subject to Nyquist
