@@ -262,7 +262,7 @@ def test_rollouts_and_maps_are_the_steps_of_the_model(model):
     plan = assembled(problem, start, targets, x)
     assert not [each for each in violations(problem, start, targets, plan) if 'differ' in each]
     mapped = decided(problem, start)[0][1:]
-    mapped += problem.maps.reach[:, 1:] @ flown.headings[1:]
+    mapped += problem.maps.reach[:, 1:] @ flown.rotations[1:, :, 0]
     np.testing.assert_allclose(mapped, flown.positions[1:], atol=1e-11)
     assert np.allclose(coordinates(flown.rotations[1:]), x)
 

@@ -37,7 +37,7 @@ from orbimpc_ros.mpc.plan import Command, Plan, command_of, interpolated
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import clamp_goal, entry_speed, held_goal, moved_towards
-from orbimpc_ros.mpc.solve.solver import Answer, Late, Solver, Task
+from orbimpc_ros.mpc.solve.solver import Answer, Late, Solver, Task, joined
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
     from orbimpc_ros.mpc.proof.document import Document
@@ -626,8 +626,3 @@ def _planned(problem: Problem) -> Problem:
     if orders != (3, 1, True) or limited:
         return problem
     return replace(problem, max_rate=0.0)
-
-
-def joined(*reasons: str) -> str:
-    """Return reasons in one line, without empty ones."""
-    return '; '.join(filter(None, reasons))

@@ -79,7 +79,7 @@ def _limits(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     A floor of several faces has the slope of the face whose margin is largest; where a cone has its
     tip, or a speed is zero, the differences are those of a smooth function.
     """
-    headings, steps, n = plan.headings, plan.horizon, problem.dimension
+    headings, steps, n = plan.rotations[:, :, 0], plan.horizon, problem.dimension
     nudges = np.zeros((steps * n, steps + 1, n))
     nudges[:, 1:] = NUDGE * np.eye(steps * n).reshape(-1, steps, n)
     slacks = _slacks(problem, state, goals, headings)
@@ -146,7 +146,7 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     traffic, nothing = traffic_of(problem, state), ACTIVE * problem.maps.unit
     names = [f'obstacle {i}' for i in range(len(problem.boxes))]
     names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
-    headings, regions = plan.headings[1:], Regions(problem)
+    headings, regions = plan.rotations[1:, :, 0], Regions(problem)
     regions.bind(Request(state, goals))
     near = regions.beside(headings, nothing)
     controls, count = problem.translation.degree + 1, problem.horizon

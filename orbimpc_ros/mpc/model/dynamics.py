@@ -154,11 +154,6 @@ class Trajectory:
     velocities: Array
     rotations: Array
 
-    @property
-    def headings(self) -> Array:
-        """Return the thrust axes R_k e1, shape (N + 1, n)."""
-        return self.rotations[:, :, 0]
-
 
 def trajectory_of(problem: Problem, state: State, goals: Array, x: Array) -> Trajectory:
     """Return the trajectory with rotation coordinates x_1..x_N, shape (N, d), and its cost."""

@@ -171,7 +171,7 @@ def _size(vector: Array) -> float:
 def told(problem: Problem, goals: Array, plan: Plan) -> str:
     """Describe in words by how much a plan violates the cones; empty if it does not."""
     found, small = [], NOTHING * problem.maps.unit
-    tilt = leaning(problem, plan.headings[1:])
+    tilt = leaning(problem, plan.rotations[1:, :, 0])
     slope = strayed(problem, plan.positions[1:] - goals)
     if problem.tilt and tilt.max() > NOTHING:
         found.append(f'tilted too far {_until(tilt, NOTHING)}')

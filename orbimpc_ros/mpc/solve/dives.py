@@ -95,8 +95,8 @@ class Dives:
         trajectory = trajectory_of(self._problem, self._request.state, goals, x)
         if (
             trajectory.objective < self.cost
-            and not regions.missed(trajectory.headings)
-            and regions.turns_in_time(trajectory.headings)
+            and not regions.missed(trajectory.rotations[:, :, 0])
+            and regions.turns_in_time(trajectory.rotations[:, :, 0])
             and is_accurate(self._problem, goals, trajectory)
         ):
             self.x, self.cost = x, trajectory.objective
@@ -148,7 +148,7 @@ class Dives:
                 return
             trajectory = self.offer(x)
             slow = not missed and trajectory.objective > (1.0 - WORTH) * cost
-            headings, cost, cells = trajectory.headings, trajectory.objective, ()
+            headings, cost, cells = trajectory.rotations[:, :, 0], trajectory.objective, ()
 
     def _solved(self, rows: Rows, headings: Array, cells: Held, coned: bool) -> Array | None:
         """Return the solution within half-spaces, shape (N, d); None if there is none.

@@ -210,7 +210,7 @@ class Solver:
             return self._instead(asked, found, SolverFailure(found.reason))
         if plan.objective - plan.lower_bound <= self._tolerance * plan.objective:
             return plan  # proved optimal relative to its own cost, however small that is
-        instead = replace(plan.proof, reason=_joined(plan.proof.reason, STANDS_IN))
+        instead = replace(plan.proof, reason=joined(plan.proof.reason, STANDS_IN))
         return self._cheapest(asked, self._unsought(asked), instead, plan.objective) or plan
 
     def propose(
@@ -246,8 +246,7 @@ class Solver:
             raise BadInput('state.wanted', None, 'a rotation: the problem asks for one at its end')
         goals = _floats(goals, (self.problem.horizon, self.problem.dimension), 'goals')
         if isinstance(guess, Plan):
-            x = guess.x[1:]
-            guess = x if x.shape == self._shape else None
+            guess = guess.x[1:] if guess.x[1:].shape == self._shape else None
         elif guess is not None:
             guess = _floats(guess, self._shape, 'guess')
         return Request(state, goals, guess, out_of_time, self._patient, self._enough)
@@ -331,7 +330,7 @@ class Solver:
 
     def _instead(self, asked: Request, found: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest fallback plan that passes the check, or raise ``failure``."""
-        proof = self._proof(asked, replace(found, reason=_joined(found.reason, STANDS_IN)))
+        proof = self._proof(asked, replace(found, reason=joined(found.reason, STANDS_IN)))
         plan = self._cheapest(asked, self._unsought(asked), proof)
         if plan is None and isinstance(failure, SolverFailure):
             every = turning(self.problem, asked.state, asked.goals)
@@ -406,10 +405,9 @@ class Task:
     @cached_property
     def rest(self) -> Plan | None:
         """Return the remainder of the previous plan as a plan from this state, if it fits."""
-        known, onward = self.known, self.onward
-        if onward is None:
+        if self.onward is None:
             return None
-        return assemble(*known, onward, projection=self.projection, proof=UNPROVED)
+        return assemble(*self.known, self.onward, projection=self.projection, proof=UNPROVED)
 
     def within(self, problem: Problem, goals: Array, solver: Solver | None = None) -> Task:
         """Return the task for a problem with another number or length of steps, and its goals."""
@@ -441,8 +439,7 @@ class Task:
         if plan.status == Status.OPTIMAL:
             return plan, Status.OPTIMAL, outside
         unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
-        reasons = unproved, plan.proof.reason, outside
-        return plan, plan.status, '; '.join(filter(None, reasons))
+        return plan, plan.status, joined(unproved, plan.proof.reason, outside)
 
 
 def _floats(value: Array, shape: tuple[int, ...], culprit: str) -> Array:
@@ -451,5 +448,6 @@ def _floats(value: Array, shape: tuple[int, ...], culprit: str) -> Array:
     return value if fits else frozen(value, shape, culprit)
 
 
-def _joined(*words: str) -> str:
-    return '; '.join(filter(None, words))
+def joined(*reasons: str) -> str:
+    """Return reasons in one line, without empty ones."""
+    return '; '.join(filter(None, reasons))

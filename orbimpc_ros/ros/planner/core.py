@@ -22,12 +22,12 @@ from orbimpc_ros.loop.capture import Events
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajectory, Route
 from orbimpc_ros.loop.intercept import steps_before
-from orbimpc_ros.loop.planner import Decision, Planner, Snapshot, joined
+from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
 from orbimpc_ros.loop.traffic import MOST, ObservedTraffic, ObstacleTracker, silence
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.solve.solver import Deadline
+from orbimpc_ros.mpc.solve.solver import Deadline, joined
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
