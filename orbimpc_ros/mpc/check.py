@@ -150,7 +150,9 @@ def step_margins(
     """
     found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        found['floor'] = problem.floor.margin(turned)
+        outward = problem.floor_normals
+        above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
+        found['floor'] = above - problem.floor.fraction
     if problem.max_rate:
         found['max_rate'] = turn_margin(problem, state, headings)
     if problem.max_acceleration:
