@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 29_270,
-    'orbimpc_ros/mpc': 15_183,
-    'orbimpc_ros/loop': 3_346,
+    'orbimpc_ros': 29_209,
+    'orbimpc_ros/mpc': 15_180,
+    'orbimpc_ros/loop': 3_288,
     'orbimpc_ros/ros': 4_164,
     'orbimpc_ros/sim': 2_390,
     'orbimpc_ros/tool': 4_060,
