@@ -29,6 +29,7 @@ EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'disc
 PARTS = ('floor', 'obstacles', 'approach')
 BODIES = 'boxes {min, max} and balls {centre, radius}'
 T = TypeVar('T')
+Names = tuple[str, ...]
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 
 
@@ -89,7 +90,7 @@ def _problem(known: Mapping[str, Any]) -> Problem:
         **plain,
         weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),
         floor=_floor(known.get('floor', {'shape': 'none'})),
-        obstacles=_each(known.get('obstacles', []), 'obstacles', _body),
+        obstacles=_each(known.get('obstacles', []), 'obstacles', body_of),
         approach=_approach(known.get('approach', {'cone': 0.0})),
     )
     return weighed(problem, scaling)
@@ -113,18 +114,22 @@ def _each(value: Any, culprit: str, made: Callable[[Any, str], T]) -> tuple[T, .
     return tuple(made(each, f'{culprit}[{i}]') for i, each in enumerate(value))
 
 
-def _body(value: Any, culprit: str, moves: tuple[str, ...] = ()) -> Box | Ball:
-    """Return the body that a mapping describes, whose other fields are ``moves``."""
+def body_of(value: Any, culprit: str, needed: Names = (), optional: Names = ()) -> Box | Ball:
+    """Return the body that a mapping describes, which has other fields, too.
+
+    Raises:
+        BadInput: a field is unknown, missing, of another type or out of range.
+    """
     if isinstance(value, dict) and ('centre' in value or 'radius' in value):
-        ball = fields_of(value, culprit, ('centre', 'radius', *moves))
+        ball = fields_of(value, culprit, ('centre', 'radius', *needed), optional)
         return Ball(numbers_of(ball['centre'], 'obstacles.centre'), ball['radius'])
-    box = fields_of(value, culprit, ('min', 'max', *moves))
+    box = fields_of(value, culprit, ('min', 'max', *needed), optional)
     return Box(numbers_of(box['min'], 'obstacles.min'), numbers_of(box['max'], 'obstacles.max'))
 
 
 def _hazard(value: Any, culprit: str) -> MovingObstacle:
     moves = ('times', 'shifts') if isinstance(value, dict) and 'times' in value else ('velocity',)
-    body = _body(value, culprit, moves)
+    body = body_of(value, culprit, moves)
     given = [numbers_of(value[name], f'{culprit}.{name}') for name in moves]
     if len(given) == 2:
         return MovingObstacle(body, *given)

@@ -32,7 +32,7 @@ class Box(ByContent):
     maximum: Array
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.minimum)
+        shape = (np.size(self.minimum),)
         object.__setattr__(self, 'minimum', frozen(self.minimum, shape, 'obstacles.min'))
         object.__setattr__(self, 'maximum', frozen(self.maximum, shape, 'obstacles.max'))
         if not np.all(self.minimum < self.maximum):
@@ -78,7 +78,7 @@ class Ball(ByContent):
     radius: float
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.centre)
+        shape = (np.size(self.centre),)
         object.__setattr__(self, 'centre', frozen(self.centre, shape, 'obstacles.centre'))
         number(self.radius, 'obstacles.radius', 0.0, above=True)
 

@@ -57,8 +57,6 @@ class Work(NamedTuple):
     Attributes:
         flown: positions relative to s_0, velocities, and forces on both, shape (4, N + 1, n).
         slopes: shape (N, d).
-        point: the tangent point of a leaf, shape (N, d).
-        shor: curvature that the leaf assigns to steps, shape (N,).
         vectors: a normal, and the remainder of a slope, shape (2, d or 3).
         matrix: shape (4, 4).
         squares: what is left of the Hessian of the cost, and two rows, shape (N + 2, N).
@@ -69,8 +67,6 @@ class Work(NamedTuple):
 
     flown: Any
     slopes: Any
-    point: Any
-    shor: Any
     vectors: Any
     matrix: Any
     squares: Any
@@ -85,15 +81,18 @@ def _turned(stated, start, point, slopes):
     count, weight, order = len(point), stated.turned, stated.order
     value = 0 * weight
     for c in range(point.shape[1]):
-        for last in range(order - 1, count if weight != 0 else 0):
-            turned = 0 * weight  # a difference, by coefficients 1, -1 or 1, -2, 1
-            for a in range(order + 1):
-                z = point[last - a, c] if last >= a else start[FIRST, c]
-                turned = turned + (1 if a != 1 else -order) * z
-            value = value + weight * turned * turned
-            for a in range(min(order, last) + 1):
-                push = 2 * weight * turned * (1 if a != 1 else -order)
-                slopes[last - a, c] = slopes[last - a, c] + push
+        before, moved = start[FIRST, c], 0 * weight
+        for k in range(count if weight != 0 else 0):
+            last, moved = moved, point[k, c] - before
+            before, turned = point[k, c], moved - (order - 1) * last
+            if k < order - 1:
+                continue
+            push = 2 * weight * turned
+            value, slopes[k, c] = value + weight * turned * turned, slopes[k, c] + push
+            if k > 0:
+                slopes[k - 1, c] = slopes[k - 1, c] - order * push
+            if order == 2 and k > 1:
+                slopes[k - 2, c] = slopes[k - 2, c] + push
         off = point[count - 1, c] - start[WANTED, c]
         value = value + stated.aimed * off * off
         slopes[count - 1, c] = slopes[count - 1, c] + 2 * stated.aimed * off
@@ -217,11 +216,7 @@ def leaf_bound(stated, region, depth, tree, leaf, empty, work):
         empty: whether to prove that the leaf is empty: by a positive bound without any cost.
         work: work arrays.
     """
-    point, shor, slopes, zero = work.point, work.shor, work.slopes, 0 * stated.full
-    for k in range(len(point)):  # at once, so that they are fetched from memory together
-        shor[k] = tree.shor[leaf, k]
-        for c in range(point.shape[1]):
-            point[k, c] = tree.point[leaf, k, c]
+    point, shor, slopes, zero = tree.point[leaf], tree.shor[leaf], work.slopes, 0 * stated.full
     count, value = len(point), zero
     known = region.part[depth], region.span[depth], region.corners[depth], work.ends
     if empty:
@@ -408,12 +403,8 @@ def _arrived(stated, m, work):
         How far the point misses the arrival.
     """
     flown, arrival, count = work.flown, work.units.flown[:, len(m)], len(m)
-    a, u, off, ratio = (
-        work.squares[count],
-        work.squares[count + 1],
-        0 * stated.chord,
-        0 * stated.chord,
-    )
+    a, u = work.squares[count], work.squares[count + 1]
+    off = ratio = 0 * stated.full
     for r in range(stated.arrives):
         largest = square = 0 * off
         for i in range(count):
@@ -460,15 +451,6 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     one = as_fractions(np.eye(count)) if kind is object else np.eye(count)
     square, path = zeros(count, count), zeros(4, count + 1, count)
     units = Units(zeros(6, count), zeros(count, count), one, path, square)
-    return Work(
-        flown=zeros(4, count + 1, n),
-        slopes=zeros(count, width),
-        point=zeros(count, width),
-        shor=zeros(count),
-        vectors=zeros(2, width),
-        matrix=zeros(4, 4),
-        squares=zeros(count + 2, count),
-        ends=zeros(count, 2, 5),
-        convex=zeros(count),
-        units=units,
-    )
+    flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
+    squares, ends = zeros(count + 2, count), zeros(count, 2, 5)
+    return Work(flown, slopes, vectors, zeros(4, 4), squares, ends, zeros(count), units)

@@ -22,9 +22,9 @@ from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of,
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
 from orbimpc_ros.mpc.plan import Proof
-from orbimpc_ros.mpc.problem import Approach, Ball, Box, Floor, Problem, State, Weights
-from orbimpc_ros.mpc.problem.case import Case
-from orbimpc_ros.mpc.proof.stated import END, ENDS, STEP, UP, Body, Cone, Limits, Statement
+from orbimpc_ros.mpc.problem import Approach, Ball, Floor, Problem, State, Weights
+from orbimpc_ros.mpc.problem.case import Case, body_of
+from orbimpc_ros.mpc.proof.stated import PARTS, UP, Body, Cone, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARRAYS,
     EMPTY,
@@ -37,7 +37,6 @@ from orbimpc_ros.mpc.proof.verify import Verifier, rounded_down
 
 FORMAT = 'orbimpc certificate 2'
 RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed the proved one
-OF = {'end': END, 'ends': ENDS, 'step': STEP}
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
          'forward', 'terminal', 'max_rate')  # fmt: skip
 WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
@@ -302,7 +301,7 @@ def _plain_body(body: Body) -> dict[str, Any]:
         made |= {'centre': shape.centre.tolist(), 'radius': shape.radius}
     else:
         made |= {'min': shape.minimum.tolist(), 'max': shape.maximum.tolist()}
-    made['of'] = next(name for name, of in OF.items() if of == body.of)
+    made['of'] = body.of
     if body.shifts.any() or body.grown.any():
         made |= {'shifts': body.shifts.tolist(), 'grown': body.grown.tolist()}
     return made
@@ -369,20 +368,14 @@ def _cone(stated: Any, n: int, count: int) -> Cone:
 
 
 def _body(stated: Any, n: int, count: int) -> Body:
-    ball = isinstance(stated, dict) and 'radius' in stated
-    names = ('centre', 'radius') if ball else ('min', 'max')
-    known = fields_of(stated, 'body', (*names, 'of'), ('shifts', 'grown'))
-    if known['of'] not in OF:
-        raise BadInput.choice('body.of', known['of'], OF)
-    still = {'shifts': np.zeros((count + 1, n)).tolist(), 'grown': [0.0] * count, **known}
+    shape = body_of(stated, 'body', ('of',), ('shifts', 'grown'))
+    if shape.dimension != n:
+        raise BadInput('body', stated, f'a body of dimension {n}')
+    if stated['of'] not in PARTS:
+        raise BadInput.choice('body.of', stated['of'], PARTS)
+    still = {'shifts': np.zeros((count + 1, n)).tolist(), 'grown': [0.0] * count, **stated}
     shifts = _array(still['shifts'], 'body.shifts', (count + 1, n))
-    grown = _array(still['grown'], 'body.grown', (count,))
-    first = _array(known[names[0]], f'body.{names[0]}', (n,))
-    shape: Box | Ball
-    shape = (
-        Ball(first, known['radius']) if ball else Box(first, _array(known['max'], 'body.max', (n,)))
-    )
-    return Body(shape, OF[known['of']], shifts, grown)
+    return Body(shape, still['of'], shifts, _array(still['grown'], 'body.grown', (count,)))
 
 
 def _array(value: Any, name: str, shape: tuple[int, ...]) -> Array:

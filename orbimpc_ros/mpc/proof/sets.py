@@ -71,7 +71,7 @@ def in_cone(g, axis, cosine, sine, n):
 
 
 @generic
-def rim(stated, angle, end):
+def rim(share, faces, least, angle, end):
     """Set the end of a sector: its angle, cosine and sine; a polygonal floor's speed, and its face.
 
     Faces are counted from 0, at their middles. A sector often has an end in common with the one
@@ -80,10 +80,10 @@ def rim(stated, angle, end):
     if end[0] == angle and (end[1] != 0 or end[2] != 0):
         return
     end[0], (end[1], end[2]) = angle, direction(angle)
-    if stated.share > 0:
-        end[4] = angle / stated.share
-        face = stated.faces[math.floor((2 * end[4] + 1) / 2) % len(stated.faces)]
-        end[3] = stated.least / (end[1] * face[0] + end[2] * face[1])
+    if share > 0:
+        end[4] = angle / share
+        face = faces[math.floor((2 * end[4] + 1) / 2) % len(faces)]
+        end[3] = least / (end[1] * face[0] + end[2] * face[1])
 
 
 @generic
@@ -242,8 +242,8 @@ def over_stage(stated, known, k, g, length, curve):
     along, cosine, sine = -size, axis[0], axis[0]
     best = -(size + abs(length) + abs(curve)) * (1 + fastest * fastest)
     if flat:
-        rim(stated, known[1][k, 0], ends[0])
-        rim(stated, known[1][k, 1], ends[1])
+        for i in range(2):
+            rim(stated.share, stated.faces, stated.least, known[1][k, i], ends[i])
         along = in_sector(g, size, ends, stated.full, stated.narrow)
         if stated.share > 0:
             slowest = max(slowest, min(fastest, nearest_floor(ends, stated.least, stated.share)))

@@ -206,16 +206,9 @@ def part_of(stated, node, at, i, depth, region):
 
 @generic
 def narrowed(stated, node, at, i, part, span, corners):
-    """Narrow the restrictions of a node to its part i; return ``HELD`` or ``GONE``.
+    """Narrow the restrictions of a node, in place, to its part i; return ``HELD`` or ``GONE``.
 
-    Args:
-        stated: see :func:`part_of`, as for the others.
-        node: see there.
-        at: see there.
-        i: see there.
-        part: of each choice, shape (C,), set in place.
-        span: shape (C, 2), set in place.
-        corners: shape (C, 3, 3), set in place.
+    Args are those of :func:`part_of`, and the restrictions of each choice.
     """
     kind, c, count = node[KIND], node[CHOICE], len(stated.goals)
     if kind in (SIDES, FACES):
@@ -243,7 +236,8 @@ def _followed(stated, c, part, span):
         full = stated.full  # all begin at the same direction
         return _carried(span, c, 0, stated.exchanged, 0 * full, 2 * full)
     held = _carried(span, c, 0, count, -stated.turn, stated.turn)
-    return held and (part[count - 1] != 0 or _aimed(stated, part, span))
+    free = stated.aside < 0 or part[count - 1] != 0
+    return held and (free or _aimed(stated, part, span))
 
 
 @generic

@@ -44,7 +44,7 @@ WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles
 ROUNDING = 1e-15  # added to a chord
 INWARD = 1.0 - 1e-12  # factor of a speed, for rounding
 UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
-END, ENDS, STEP = range(3)  # the part of a step that is on one side of a body
+END, ENDS, STEP = PARTS = 'end', 'ends', 'step'  # what is on one side of a body
 UP = 0.0, 0.0, 1.0
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
 NOTHING: Array = np.zeros(0)
@@ -81,7 +81,7 @@ class Body(NamedTuple):
     """
 
     shape: Box | Ball
-    of: int
+    of: str
     shifts: Array
     grown: Array
 
@@ -226,12 +226,15 @@ class Statement:
 
     Raises:
         BadInput: fractions of a model whose numbers are floats only.
+
+    Attributes:
+        known: the problem at the origin, without limits on turns and speeds, and without cones.
     """
 
     def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
         self.problem, self._number = problem, number
         self.width, self._motion = width_of(problem), self._moved()
-        self._known = self._stated()
+        self.known = self._stated()
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
@@ -253,7 +256,6 @@ class Statement:
         return StepMap._make([*map(number, known), h / model.degree, model.degree])
 
     def _stated(self) -> Stated:
-        """Return the numbers for any state: without limits on turns and speeds, at the origin."""
         problem, number, n = self.problem, self._number, self.problem.dimension
         floor, count = problem.floor, problem.horizon
         faces = floor.faces if floor.shape == 'polygon' else 0
@@ -338,7 +340,7 @@ class Statement:
             aims: g_1..g_N, shape (N, n) [m].
             limits: in addition to the problem's own.
         """
-        known, start, origin = self._known, self._begun(state), self._numbers(state.position)
+        known, start, origin = self.known, self._begun(state), self._numbers(state.position)
         cones = self._cones(state, limits)
         made = {**self._turned(state), **self._paced(state, limits), **self._coned(cones)}
         made['goals'] = goals = known.goals.copy()
@@ -381,7 +383,7 @@ class Statement:
     def _paced(self, state: State, limits: Limits) -> dict[str, Any]:
         """Return the limits on speeds."""
         problem, number, known = self.problem, self._number, state.coasted
-        least, full, late = self._known.least, self._known.fast, problem.rotation_order == 2
+        least, full, late = self.known.least, self.known.fast, problem.rotation_order == 2
         entry, change = number(limits.entry), number(min(2.0, limits.change))
         slow, fast = max(least, entry - change), min(full, entry + change)
         if late and known is None:
@@ -512,7 +514,7 @@ def _corners_and_radius(shape: Box | Ball) -> tuple[Array, Array, float]:
 
 
 @lru_cache(maxsize=64)
-def rows_of(of: tuple[int, ...], count: int, degree: int) -> np.ndarray:
+def rows_of(of: tuple[str, ...], count: int, degree: int) -> np.ndarray:
     """Return the control points that rows of N steps constrain, -1 for missing rows, (J, N, 4)."""
     at = np.full((len(of), count, POINTS), -1)
     for rows, part in zip(at, of, strict=True):

@@ -28,6 +28,9 @@ from orbimpc_ros.mpc.proof.tree import ARRAYS, KINDS, ProofTree, one
 
 DEPTHS, MOST = 32, 1 << 25  # rows of a region at first, and restrictions in it at most
 SLICE = 2000  # steps to bound between two checks of the deadline: 1 to 3 ms
+# The axes of a tree's arrays: M nodes, L leaves, P rows, N steps, n and d coordinates of a heading
+# and of a rotation, m vectors at an arrival.
+AXES = 'M5', 'M', 'LNd', 'LN', 'L', 'P', 'P', 'Lmn', 'LN3', 'LNn', 'LNn', 'N'
 HOSTILE = ArithmeticError, ValueError  # raised by numbers that are not finite or far too large
 _bound = floats(tree_bound)
 
@@ -49,6 +52,10 @@ class Verifier:
         self._bound = tree_bound if self._exact else _bound
         self._work = work_of(problem, self._statement.width, self._kind)
         self._region = region_of(DEPTHS, 2 * problem.horizon, problem.dimension, self._kind)
+        known = self._statement.known
+        self._sizes = {'N': len(known.goals), 'n': known.n, 'd': known.width, 'm': known.arrives}
+        self._sizes |= {'3': 3, '5': 5}
+        self._inner = [tuple(self._sizes[axis] for axis in axes[1:]) for axes in AXES]
         if COMPILED and not self._exact:
             if bare(_bound) is _bound:  # load machine code at start-up, not in a tick
                 n, count = problem.dimension, problem.horizon
@@ -81,7 +88,7 @@ class Verifier:
         if limits is None:
             limits = self._statement.limits(state, goals)
         stated = self._statement.of(state, goals, limits)
-        if not _fits(tree, problem.horizon, stated.n, stated.width, stated.arrives):
+        if not self._fits(tree):
             return -math.inf
         walk = np.empty((3, len(tree.nodes)), np.int64)
         choices = (2 + len(stated.bodies.at)) * problem.horizon
@@ -101,40 +108,24 @@ class Verifier:
             return -math.inf
         return rounded_down(seen[0]) if seen[1] > 0 else math.inf
 
+    def _fits(self, tree: ProofTree) -> bool:
+        """Return whether a tree that is not trusted has arrays of the types and shapes needed."""
+        counts = {'M': len(tree.nodes), 'L': len(tree.point), 'P': tree.press.size, **self._sizes}
+        for i, (value, axes, inner) in enumerate(zip(tree, AXES, self._inner, strict=True)):
+            if value.dtype != KINDS[i] or value.ndim != len(axes):
+                return False
+            needed = i < len(ARRAYS) or value.size > 0
+            whole = value.shape == (counts[axes[0]], *inner) and value.flags.c_contiguous
+            if needed and not whole:
+                return False
+        return len(tree.nodes) > 0
+
     def _deepened(self) -> bool:
         """Double the rows of the region; return False if it would exceed ``MOST``."""
         if 2 * self._region.part.size > MOST:
             return False
         self._region = Region(*(np.concatenate([each, each]) for each in self._region))
         return True
-
-
-def _fits(tree: ProofTree, horizon: int, n: int, width: int, arrives: int) -> bool:
-    """Return whether a tree's arrays have the types and shapes that a problem requires.
-
-    Args:
-        tree: not trusted.
-        horizon: N.
-        n: dimension.
-        width: d, number of coordinates of a rotation that are in the cost.
-        arrives: m, number of vectors that an arrival constrains.
-    """
-    nodes, leaves, presses = len(tree.nodes), len(tree.point), tree.press.size
-    vectors = leaves, horizon, n
-    shapes = (
-        (nodes, 5), (nodes,), (leaves, horizon, width), (leaves, horizon),
-        (leaves,), (presses,), (presses,),
-        (leaves, arrives, n), (leaves, horizon, 3), vectors, vectors, (horizon,),
-    )  # fmt: skip
-    if nodes == 0 or [each.dtype for each in tree] != KINDS:
-        return False
-    for i, (value, shape) in enumerate(zip(tree, shapes, strict=True)):
-        if i < len(ARRAYS) or value.size:
-            if value.shape != shape or not value.flags.c_contiguous:
-                return False
-        elif value.ndim != len(shape):
-            return False
-    return True
 
 
 def tree_in_fractions(tree: ProofTree) -> Any:
