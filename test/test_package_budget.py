@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 29_209,
-    'orbimpc_ros/mpc': 15_180,
+    'orbimpc_ros': 29_176,
+    'orbimpc_ros/mpc': 15_147,
     'orbimpc_ros/loop': 3_288,
     'orbimpc_ros/ros': 4_164,
     'orbimpc_ros/sim': 2_390,
