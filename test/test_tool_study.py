@@ -67,7 +67,7 @@ def test_vehicles_with_lags_fly_continuously_and_those_that_state_none_in_steps(
 
 def test_a_flight_lasts_as_long_as_its_ticks():
     assert draws_of('rope', ('step=0.2', 'max_ticks=80')).limit == pytest.approx(8.0)  # of 0.1 s
-    assert draws_of('retrieval', ('step=0.2', 'max_ticks=80')).limit == pytest.approx(16.0)
+    assert draws_of('retrieval', ('sim.step=0.2', 'max_ticks=80')).limit == pytest.approx(16.0)
 
 
 def test_an_attitude_in_space_is_drawn_as_a_unit_quaternion():

@@ -273,8 +273,9 @@ class Draws:
     @property
     def limit(self) -> float:
         """Return the longest duration of a flight [s]."""
-        rate = self.values['odom_rate']  # a tick is a step, or a period of odometry
-        return float(self.values['max_ticks'] * (1.0 / rate if rate else self.values['step']))
+        values = settings.of_sim(self.values)
+        rate = values['odom_rate']  # a tick is a step, or a period of odometry
+        return float(values['max_ticks'] * (1.0 / rate if rate else values['step']))
 
 
 def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
