@@ -129,7 +129,7 @@ def test_who_is_headed_elsewhere_has_not_caught_the_goal():
     # The heading at the closest approach is one between those at the ends.
     ends, cone = (np.array([1.0, 0.0]), np.array([0.0, 1.0])), Approach(0.1, (3.0, 3.0))
     assert [is_headed(cone, ends, share) for share in (0.0, 0.5, 1.0)] == [False, True, False]
-    assert is_headed(Approach(), ends, 0.0)
+    assert [is_headed(any_axis, ends, 0.5) for any_axis in (Approach(), Approach(0.1))] == [1, 0]
 
 
 # --- arrivals

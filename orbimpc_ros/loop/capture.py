@@ -44,8 +44,8 @@ def is_headed(approach: Approach, headings: tuple[Array, Array], share: float) -
         headings: thrust axis at both ends of the step, each of shape (n,).
         share: the moment, as a share of the step; headings turn evenly by less than half a turn.
     """
-    if not approach.exists:
-        return True
+    if not approach.exists or not approach.direction:
+        return not approach.exists  # False for the goal's axis, while that is unknown
     heading = (1.0 - share) * headings[0] + share * headings[1]
     axis = np.array(approach.direction)
     along = float(heading @ axis) / math.hypot(*approach.direction)

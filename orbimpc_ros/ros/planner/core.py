@@ -641,7 +641,7 @@ class Core:
         goal, approach = motion.at(np.array([measured.time]))[0], settings.approach
         if isinstance(motion, Route):
             goal = motion.place(np.array([motion.nearest(measured.position)]))[0]
-        elif approach.is_the_goals and self.seen.wanted is not None:
+        if approach.is_the_goals and self.seen.wanted is not None:
             approach = replace(approach, direction=tuple(self.seen.wanted[:, 0].tolist()))
         events.note(measured, goal, settings.capture_radius, settings.odom_timeout, approach)
         return math.dist(measured.position, goal)
