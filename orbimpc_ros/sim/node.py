@@ -20,7 +20,7 @@ from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.ros.process import FAILED, LIFE, Managed, qos, run
 from orbimpc_ros.sim.outputs import Seen
 from orbimpc_ros.sim.parameters import SIM, Faults, SimSettings, sim_settings
-from orbimpc_ros.sim.simulation import DEPTH, FlightSimulation, Order
+from orbimpc_ros.sim.simulation import DEPTH, Course, FlightSimulation, Order
 
 LOOK = 0.02  # [s] between checks for planner and readers
 SETTLED = 0.1  # [s] lock-step: time for a planner to take in a goal without odometry to answer
@@ -29,7 +29,6 @@ RESEND = 0.5  # [s] lock-step: resend without an answer; first messages may be l
 PATIENCE = 20.0  # [s] lock-step: give up without an answer
 SHARE = 0.75  # of command_timeout for the liveliness lease; the rest is time to report its loss
 Answer = Generator[None, Order | None, Order | None]
-Course = Generator[None, Order | None, None]
 NO_ANSWER = (
     'an answer to the odometry on cmd_vel: it needs a planner with trigger: odom (with timer, '
     'planner and simulator wait for each other); see its /diagnostics'
@@ -55,35 +54,25 @@ class LockStep(FlightSimulation):
         if settings.clock == 'shared':
             self._shared = -math.inf
             node.create_subscription(Clock, '/clock', node.at_work(self._on_clock), qos(DEPTH))
-        node.every(LOOK, self.on_order)
+        node.every(LOOK, self.resume)
         if settings.rate > 0.0:
             node.every(settings.model.step / settings.rate, self._on_rate)
-
-    def start(self) -> None:
-        """Start as soon as planner and readers are present."""
-        self._course = self._flown()
-        self.on_order()
 
     @property
     def now(self) -> int:
         """Return the simulated time [ns], including jumps by faults."""
         return round((self.begun + self.flight.vehicle.time + self.jump) * SECOND)
 
-    def on_order(self, order: Order | None = None) -> None:
-        """Continue the flight with a command, or because time has passed."""
-        if not self.finished:
-            self._course.send(order)
-
     def _on_clock(self, message: Clock) -> None:
         self._shared = message.clock.sec * SECOND + message.clock.nanosec
-        self.on_order()
+        self.resume()
 
     def _on_rate(self) -> None:
         self._due = True
-        self.on_order()
+        self.resume()
 
-    def _flown(self) -> Course:
-        """Fly to the end, waiting at each ``yield`` for a command or for time to pass."""
+    def course(self) -> Course:
+        """Fly a step for each answer; see :meth:`FlightSimulation.course`."""
         for absent, since in self.waiting(planner=True):
             self._give_up(absent, since, self._patience)
             yield
@@ -147,7 +136,7 @@ class RealTime(FlightSimulation):
     def __init__(self, node: Managed, settings: SimSettings) -> None:
         super().__init__(node, settings)
         node.every(LOOK, self.look)
-        node.every(settings.model.step, self.on_time)
+        node.every(settings.model.step, self.resume)
         # Publishers without a liveliness lease do not match this QoS, which is no fault.
         events = SubscriptionEventCallbacks(
             liveliness=node.at_work(self.on_life), incompatible_qos=lambda _event: None
@@ -156,13 +145,6 @@ class RealTime(FlightSimulation):
         node.create_subscription(
             TwistStamped, 'cmd_vel', lambda _message: None, promised, event_callbacks=events
         )
-
-    def start(self) -> None:
-        """Wait for subscribers, then for a first command."""
-        self._expires = -np.inf  # when the last command expires, on the steady clock [s]
-        self._stopped = np.inf  # since when the vehicle is stopped; infinite while it is not [s]
-        self._begun = -np.inf  # start of this step, on the steady clock [s]; without one, infinite
-        self._waiting = self.waiting(planner=False)
 
     @property
     def now(self) -> int:
@@ -201,19 +183,21 @@ class RealTime(FlightSimulation):
         kept = f'failsafe at {share:g} of full speed or thrust, {turn:g} rad/s'
         self.warn(f'{reason}: {kept if share or turn else "stopped"}')
 
-    def on_time(self) -> None:
-        """Fly a step, unless there has been no command yet, and publish the new state."""
-        if self._begun == -np.inf:
-            if next(self._waiting, None):
-                return
-        elif self._expires > -np.inf and not self.finished:
-            self.fly(min(self._expires, self._stopped) - self._begun)
-        if self.finished:
-            return
-        self._begun = self.node.steady_now()
-        self.show(self.view.of(self.flight))
-        if self.flight.over:
-            self.finish()
+    def course(self) -> Course:
+        """Fly a step each time that it is resumed, once there has been a command."""
+        self._expires = -np.inf  # when the last command expires, on the steady clock [s]
+        self._stopped = np.inf  # since when the vehicle is stopped; infinite while it is not [s]
+        for _ in self.waiting(planner=False):
+            yield
+        while not self.finished:
+            begun = self.node.steady_now()
+            self.show(self.view.of(self.flight))
+            if self.flight.over:
+                self.finish()
+            yield
+            if self._expires > -np.inf:
+                self.fly(min(self._expires, self._stopped) - begun)
+        yield
 
 
 class SimNode(Managed):

@@ -7,7 +7,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -81,12 +81,23 @@ class FlightSimulation(ABC):
         """Return the time for stamps [ns], including jumps by faults."""
 
     @abstractmethod
-    def start(self) -> None:
-        """Wait for planner and readers, then fly."""
+    def course(self) -> Course:
+        """Wait for planner and readers, then fly to the end, waiting at each ``yield``."""
 
-    @abstractmethod
+    def start(self) -> None:
+        """Begin the course of the flight."""
+        self._course = self.course()
+        next(self._course)
+
+    def resume(self) -> None:
+        """Continue the course because time has passed."""
+        if not self.finished:
+            next(self._course)
+
     def on_order(self, order: Order) -> None:
-        """Handle a complete command."""
+        """Continue the course with a complete command."""
+        if not self.finished:
+            self._course.send(order)
 
     def restart(self) -> None:
         """Begin a new flight; time continues, because stamps must not go back."""
@@ -230,6 +241,9 @@ class Order:
     stamp: int  # of the odometry that it answers [ns]
     fraction: float  # share of full speed or thrust
     body_rate: Array  # shape (1,) or (3,) [rad/s]
+
+
+Course = Generator[None, Order | None, None]
 
 
 class Orders:
