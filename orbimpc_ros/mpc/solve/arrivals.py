@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Arcs bent so that they arrive: within floor, turn rate and approach, without a search.
+"""Arcs, bent so that they arrive: within floor, turn rate and approach, without a search.
 
 A terminal constraint is linear in the headings z_k = R_k e1. Its residual is removed by Newton
 steps of least norm in their speeds and turns, within the limits of both; and likewise what the last
@@ -28,7 +28,7 @@ CORRECTIONS = 20
 LARGEST = 0.5  # change of a heading in one correction
 PROGRESS = 0.95  # a correction ends if it leaves more of the residual
 MET = 1e-10  # in units of a step's length: residual of an arrival that counts as zero
-SINGULAR = 1e-13
+Begun = tuple[Array, Array | None]  # the rotation from which turns start, and a given R_1
 
 
 class Arc(NamedTuple):
@@ -47,19 +47,25 @@ class Arc(NamedTuple):
     given: int
 
 
-def arc_of(problem: Problem, ahead: Array, z: Array, towards: Array, turn: float) -> Arc:
-    """Return the arc of headings, shape (N, n), with a turn over the horizon [rad]."""
-    speeds, given = np.linalg.norm(z, axis=1), problem.rotation_order - 1
-    axis = z[0] / max(float(speeds[0]), HEADING_UNDEFINED) if given else ahead[:, 0]
-    frame, turns = np.zeros((3, 3)), np.zeros((len(z), 3))
+def arc_of(problem: Problem, begun: Begun, towards: Array, speed: float, turn: float) -> Arc:
+    """Return the arc with a turn over the horizon [rad] to the side of a point, shape (n,)."""
+    count, given, frame = problem.horizon, problem.rotation_order - 1, np.zeros((3, 3))
+    (ahead, first), speeds, turns = begun, np.full(count, speed), np.zeros((count, 3))
+    axis = ahead[:, 0]
+    if first is not None:
+        speeds[0] = np.linalg.norm(first[:, 0])
+        axis = first[:, 0] / max(float(speeds[0]), HEADING_UNDEFINED)
     frame[: len(axis), 0], frame[: len(axis), 1] = axis, aside_of(axis, towards)
     frame[:, 2] = np.cross(frame[:, 0], frame[:, 1])
-    turns[given:, 2] = turn / len(z)
+    turns[given:, 2] = turn / count
     return Arc(frame, speeds, turns, given)
 
 
-def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Iterator[Array | None]:
-    """Yield None before each correction of an arc, and last, if found, headings, (N, n)."""
+def flown(problem: Problem, state: State, goals: Array, arc: Arc) -> Iterator[Array | None]:
+    """Yield None before each correction of an arc, and last, if it arrives, headings, (N, n).
+
+    Without a terminal constraint they are those of the arc, no slower than the floor.
+    """
     n, rows = problem.dimension, problem.maps.arrival[:, 1:]
     places, velocities = decided(problem, state)
     wanted = np.array([goals[-1] - places[-1], -velocities[-1]][: len(rows)])
@@ -70,13 +76,15 @@ def arriving(problem: Problem, state: State, goals: Array, arc: Arc) -> Iterator
         if problem.floor.exists:
             least = np.minimum(1.0, problem.floor.least(frames[:, :n, 0]))
         arc = arc._replace(speeds=np.clip(arc.speeds, least, 1.0))
-        missing = wanted - rows @ (arc.speeds[:, None] * frames[:, :n, 0])
+        headings = np.asarray(arc.speeds[:, None] * frames[:, :n, 0])
+        missing = wanted - rows @ headings
         aside = _turned_aside(problem, state, frames[-1, :n, 0])
         missed = max(np.abs(missing[0]).max(), problem.step * np.abs(missing[1:]).max(initial=0.0))
         missed = max(missed, problem.maps.unit * np.abs(aside).max(initial=0.0))
-        if missed <= MET * problem.maps.unit:
-            yield np.asarray(arc.speeds[:, None] * frames[:, :n, 0])
-        if not MET * problem.maps.unit < missed < PROGRESS * best:
+        arrived = problem.terminal != 'constraint' or missed <= MET * problem.maps.unit
+        if arrived:
+            yield headings
+        if arrived or not missed < PROGRESS * best:
             return
         yield None
         best = missed
@@ -143,10 +151,8 @@ def _least_change(matrix: Array, missing: Array, limits: tuple[Array, Array]) ->
     """
     change, free = np.zeros(matrix.shape[1]), limits[1] > limits[0]
     while free.any():
-        left, some = missing - matrix[:, ~free] @ change[~free], matrix[:, free]
-        gram = some @ some.T
-        gram.flat[:: len(gram) + 1] += SINGULAR * (1.0 + np.trace(gram))
-        change[free] = some.T @ np.linalg.solve(gram, left)
+        left = missing - matrix[:, ~free] @ change[~free]
+        change[free] = np.linalg.lstsq(matrix[:, free], left, rcond=None)[0]
         kept = np.clip(change, *limits)
         beyond = free & (kept != change)
         if not beyond.any():

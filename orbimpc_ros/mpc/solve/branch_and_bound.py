@@ -15,21 +15,19 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from operator import itemgetter
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.check import terminal_violations
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
-from orbimpc_ros.mpc.proof.tree import CUT, NOWHERE, ProofTree
-from orbimpc_ros.mpc.solve.dives import Dives, is_accurate
+from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
+from orbimpc_ros.mpc.solve.dives import Dives
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
@@ -38,7 +36,6 @@ from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.stand_ins import sound
-from orbimpc_ros.mpc.solve.turns import Turns
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
@@ -46,8 +43,6 @@ ALONE = 'only paths in the plane of heading and goal were searched'
 FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
-WORST_CONDITION = 1e12
-UNDIVIDED = Region(np.zeros(0, np.int64), NOWHERE, {})  # of a problem without choices
 HALFWAY = 50.0  # factor on the tolerance where nodes cost alike: half of a plan's gap tolerance
 
 
@@ -69,12 +64,9 @@ class BranchAndBound:
         rounded = problem.dimension == 3 and problem.floor.radius > 0.0
         slow = problem.has_cones or among or rounded
         self.tolerance = (HALFWAY if slow else 1.0) * tolerance
-        self._chooses = problem.floor.exists or bool(problem.obstacles)
-        self.takes_guess = self._chooses or among  # a single relaxation needs no warm start
-        self._condensed = Condensed(problem)
-        self._inverse = _inverse(self._condensed.hessian)
-        turns = Turns(problem) if problem.turns_are_angles else None
-        self._regions = Regions(problem, self._inverse, turns)
+        # A single relaxation needs no warm start.
+        self.takes_guess = problem.floor.exists or bool(problem.obstacles) or among
+        self._regions = Regions(problem)
         self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
         spread = problem.weights.position or problem.weights.attitude or problem.obstacles or among
         self._in_plane = self._plane is not None and problem.dimension == 3 and not spread
@@ -94,12 +86,10 @@ class BranchAndBound:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
         traffic = traffic_of(self.problem, request.state)
-        if traffic is None and not self._chooses:
-            return self._relaxed(request)
         planar = [] if self._plane is None else self._plane.ways(request)
         if planar and request.hurried and self._in_plane:
             return self._better(request, planar[0])
-        return self._run(request).run(planar, among=traffic is not None)
+        return self.begun(request).run(planar, among=traffic is not None)
 
     @cached_property
     def program(self) -> Relaxed:
@@ -120,78 +110,24 @@ class BranchAndBound:
         cost, x = min(known, key=itemgetter(0))
         return Found(x, cost, -np.inf, 1, ALONE)
 
-    def exceeding(self, request: Request, cost: float) -> ProofTree | None:
-        """Return a proof that every trajectory costs more than a value; None if none was found.
-
-        Args:
-            request: state and goals.
-            cost: the value; infinity for a proof that there is no trajectory.
-        """
-        return self._run(request).exceeding(cost)
-
-    def _run(self, request: Request) -> _Run:
-        regions = self._regions
-        regions.bind(request)
-        dives = Dives(self.program, regions, request, self.tolerance)
-        leaves = ProofWriter(
-            self.problem, self._condensed, self._inverse, request, regions.bodies, regions.origins
-        )
-        return _Run(request, regions, dives, leaves, self.tolerance)
-
-    def _relaxed(self, request: Request) -> Found:
-        """Return the optimum of a problem without disjunctions, which one relaxation solves."""
-        state, goals = request.state, request.goals
-        relaxed = self.program.relax(request)
-        if relaxed.empty:
-            raise Infeasible(NOTHING, self._root(request, relaxed))
-        if relaxed.x is None:
-            return Found(None, np.inf, relaxed.bound, 1)
-        trajectory = trajectory_of(self.problem, state, goals, relaxed.x)
-        found = Found(relaxed.x, trajectory.objective, relaxed.bound, 1)
-        # With a closed gap the orbitopes need no check, which takes a quarter of a tick.
-        solved = abs(found.gap) <= self.tolerance and not request.late
-        arrived = not terminal_violations(self.problem, goals, trajectory)
-        if not (arrived and (solved or is_accurate(self.problem, goals, trajectory))):
-            return Found(None, np.inf, relaxed.bound, 1)
-        return replace(found, proof=self._root(request, relaxed))
-
-    def _root(self, request: Request, relaxed: Relaxation) -> ProofTree | None:
-        """Return the proof of a problem without disjunctions: a tree of one leaf."""
-        leaves = ProofWriter(self.problem, self._condensed, self._inverse, request)
-        root = Node(0, -np.inf, UNDIVIDED)
-        root.leaf = leaves.solved(relaxed, (), 0)
-        return leaves.tree([root])
+    def begun(self, request: Request) -> Search:
+        """Return the search for a request."""
+        self._regions.bind(request)
+        return Search(self._regions, self.program, self.tolerance)
 
 
-def _inverse(hessian: Array) -> Array | None:
-    """Return H^-1, shape (N, N); None where H is singular."""
-    if not np.linalg.cond(hessian) <= WORST_CONDITION:  # the condition of a zero matrix is NaN
-        return None
-    return np.asarray(np.linalg.inv(hessian))
-
-
-class _Run:
+class Search:
     """One search: the open nodes, the incumbent, and the least bound of closed leaves.
 
     Args:
-        request: state, goals and deadline.
-        regions: of the request.
-        dives: solver of its relaxations, and the incumbent.
-        leaves: writer of the proof.
+        regions: of its request.
+        program: the relaxation of the problem.
         tolerance: relative gap at which the search stops.
     """
 
-    def __init__(
-        self,
-        request: Request,
-        regions: Regions,
-        dives: Dives,
-        leaves: ProofWriter,
-        tolerance: float,
-    ) -> None:
-        self._request, self._regions, self._dives = request, regions, dives
-        self._leaves, self._tolerance = leaves, tolerance
-        self._root = -np.inf  # bound of the root; infinite if it is empty
+    def __init__(self, regions: Regions, program: Relaxed, tolerance: float) -> None:
+        self._request, self._regions, self._tolerance = regions.request, regions, tolerance
+        self._dives, self._leaves = Dives(program, regions, tolerance), ProofWriter(regions)
         self._closed = np.inf
         self._nodes = [Node(0, -np.inf, regions.root())]
         self._open = [self._nodes[0]]
@@ -216,19 +152,18 @@ class _Run:
                 best.stand_in()
             self._expand(heapq.heappop(self._open))
             if among and self._open:
-                if best.x is not None:
-                    best.follow(regions.headings(best.x), self._rows(root))
-                for x in known:
-                    best.dive(regions.headings(x), self._rows(root))
+                for way in (best.x, *known):
+                    if way is not None:
+                        best.dive(regions.headings(way), self._rows(root))
                 among = False
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
-        if max(lower, self._root) == np.inf:
+        if max(lower, root.bound) == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
         return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""
-        enough = self._root >= lower - self._tolerance * abs(lower)
+        enough = self._nodes[0].bound >= lower - self._tolerance * abs(lower)
         found = self._leaves.tree(self._nodes, 1) if enough else None
         return found or self._leaves.tree(self._nodes)
 
@@ -245,8 +180,9 @@ class _Run:
     def exceeding(self, cost: float) -> ProofTree | None:
         """Return a proof that every trajectory costs more than a value; None if none was found.
 
-        No trajectory is looked for. A node with a lower bound is split where its solution violates
-        a choice, or else at the widest sector, which ends turns that are too wide.
+        With infinity it is a proof that there is none. No trajectory is looked for. A node with a
+        lower bound is split where its solution violates a choice, or else at the widest sector,
+        which ends turns that are too wide.
         """
         if self._nodes[0].known is None:
             return None
@@ -289,10 +225,7 @@ class _Run:
         rows = self._rows(node)
         relaxed = self._dives.relax(rows)
         node.better = relaxed.empty or relaxed.bound >= node.bound
-        if not relaxed.empty:
-            node.bound = max(node.bound, relaxed.bound)
-        if node.above is None:
-            self._root = np.inf if relaxed.empty else relaxed.bound
+        node.bound = np.inf if relaxed.empty else max(node.bound, relaxed.bound)
         held = tuple(each for held in rows.values() for each in held)
         node.leaf = self._leaves.solved(relaxed, held, node.depth)
         return relaxed

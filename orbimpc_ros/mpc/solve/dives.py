@@ -19,11 +19,10 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import terminal_violations
 from orbimpc_ros.mpc.geometry.rotations import margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
-from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.solve.regions import ALWAYS, Held, Regions, Rows
+from orbimpc_ros.mpc.solve.regions import ALWAYS, Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
-from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.stand_ins import in_time, sound, turning
+from orbimpc_ros.mpc.solve.turns import KEPT
 
 BESIDE = 2.0  # in units of a step's length: bodies farther from a path are not constrained by it
 FOLLOWED = 10  # solves beside a path, each with the solution before as its path
@@ -32,22 +31,12 @@ ACCURATE = 1e-6  # the check's tolerance of orbitopes
 LEAST = 1e-9  # smallest denominator of a relative gap
 
 
-def is_accurate(problem: Problem, goals: Array, trajectory: Trajectory) -> bool:
-    """Return True if orbitopes and a terminal constraint hold within the tolerance of plans.
-
-    They may not after an interrupted or inaccurate solve, whose bound is valid nevertheless.
-    """
-    inside = bool(margin(trajectory.rotations[1:]).min() >= -ACCURATE)
-    return inside and not terminal_violations(problem, goals, trajectory)
-
-
 class Dives:
     """Primal heuristics of one request, and the best trajectory found so far.
 
     Args:
         program: the relaxation of the problem.
-        regions: of the request.
-        request: state, goals, deadline and guess, which is the first trajectory.
+        regions: of the request, whose guess is the first trajectory.
         tolerance: relative gap at which the search stops.
 
     Attributes:
@@ -56,15 +45,13 @@ class Dives:
         cost: its objective; infinite without a trajectory.
     """
 
-    def __init__(
-        self, program: Relaxed, regions: Regions, request: Request, tolerance: float
-    ) -> None:
-        self._program, self._regions, self._request = program, regions, request
+    def __init__(self, program: Relaxed, regions: Regions, tolerance: float) -> None:
+        self._program, self._regions, self._request = program, regions, regions.request
         self._problem, self._turns = regions.problem, regions.turns
         self._tolerance, self.solved = tolerance, 0
         self.x: Array | None = None
         self.cost = np.inf
-        self._take([request.guess])
+        self._take([self._request.guess])
 
     def _take(self, ways: Iterable[Array | None]) -> None:
         """Accept the first of several trajectories that passes the check of plans."""
@@ -88,6 +75,8 @@ class Dives:
     def offer(self, x: Array) -> Trajectory:
         """Accept rotation coordinates, shape (N, d), if they are cheaper and feasible.
 
+        After an interrupted or inaccurate solve they may be outside of their orbitopes.
+
         Returns:
             Their rollout.
         """
@@ -97,7 +86,8 @@ class Dives:
             trajectory.objective < self.cost
             and not regions.missed(trajectory.rotations[:, :, 0])
             and regions.turns_in_time(trajectory.rotations[:, :, 0])
-            and is_accurate(self._problem, goals, trajectory)
+            and margin(trajectory.rotations[1:]).min() >= -ACCURATE
+            and not terminal_violations(self._problem, goals, trajectory)
         ):
             self.x, self.cost = x, trajectory.objective
         return trajectory
@@ -110,14 +100,11 @@ class Dives:
 
     def dive(self, headings: Array, rows: Rows) -> None:
         """Follow the solution of a node, as far as turns allow; see :meth:`follow`."""
-        turns = self._turns
-        if turns is None:
-            self.follow(headings, rows)
-            return
-        for cells in (turns.reached(self._request.state, headings), turns.kept(headings)):
-            self.follow(headings, rows, cells)
+        if self._turns is not None:
+            self.follow(self._turns.followed(self._request.state, headings), rows, 0.0)
+        self.follow(headings, rows)
 
-    def follow(self, headings: Array, rows: Rows, cells: Held = ()) -> None:
+    def follow(self, headings: Array, rows: Rows, share: float = KEPT) -> None:
         """Solve beside a path; repeat with the solution as the path while the cost falls.
 
         Until a path is feasible, only the choices that it violates are made, and stay. A feasible
@@ -127,7 +114,7 @@ class Dives:
         Args:
             headings: of the path, R_0 e1..R_N e1, shape (N + 1, n).
             rows: half-spaces of the node.
-            cells: half-spaces of the headings with a turn limit; near those of the path by default.
+            share: of the speeds on the path that is kept in the first solve, with a turn limit.
         """
         regions, held, cost = self._regions, rows, np.inf
         slow = coned = False
@@ -143,31 +130,31 @@ class Dives:
                     coned = True
                 near = regions.beside(headings[1:], BESIDE * self._problem.maps.unit)
                 held = rows | regions.tangents(headings[1:], [*regions.floors, *near], rows)
-            x = None if self._request.late else self._solved(held, headings, cells, coned)
+            x = None if self._request.late else self._solved(held, headings, share, coned)
             if x is None:
                 return
             trajectory = self.offer(x)
             slow = not missed and trajectory.objective > (1.0 - WORTH) * cost
-            headings, cost, cells = trajectory.rotations[:, :, 0], trajectory.objective, ()
+            headings, cost, share = trajectory.rotations[:, :, 0], trajectory.objective, KEPT
 
-    def _solved(self, rows: Rows, headings: Array, cells: Held, coned: bool) -> Array | None:
+    def _solved(self, rows: Rows, headings: Array, share: float, coned: bool) -> Array | None:
         """Return the solution within half-spaces, shape (N, d); None if there is none.
 
-        With a turn limit, headings are within cells, and chords between consecutive headings so
-        short that no turn is too wide; but speeds can hardly change. If ``coned``, headings are
+        With a turn limit, headings are in cells about the path's, and chords between consecutive
+        ones so short that no turn is too wide; but speeds can hardly change. If ``coned``, they are
         within cones about the path's, which has no wide turns: speeds are free.
 
         Args:
             rows: half-spaces by choice.
             headings: of a path, as in :meth:`follow`.
-            cells: of the headings; near those of the path by default.
+            share: of their speeds that is kept.
             coned: whether directions are limited instead of chords.
         """
         turns, state, chords = self._turns, self._request.state, None
         if turns is not None and coned:
             rows = rows | {ALWAYS: (*rows[ALWAYS], *turns.cones(state, headings))}
         elif turns is not None:
-            cells = cells or turns.kept(headings)
+            cells = turns.cells(headings, share)
             chords, narrow = turns.close(cells), turns.rows(state, narrow=True)
             faced = {row.place: (row,) for row in cells}
             rows = rows | faced | {ALWAYS: (*rows[ALWAYS], *narrow)}

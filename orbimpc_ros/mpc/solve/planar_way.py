@@ -47,9 +47,6 @@ class PlanarWay:
     def ways(self, request: Request) -> list[Array]:
         """Return the coordinates of R_1..R_N of the best path, shape (N, d); none on overflow."""
         state, attitude = request.state, request.state.attitude
-        if self._problem.dimension == 2:
-            found = self._search.solve(request)
-            return [] if found.x is None else [found.x]
         aside = (request.goals - decided(self._problem, state)[0][1:]) @ attitude[:, 1:]
         across = np.linalg.svd(self._weights[:, None] * aside)[2][0]
         plane = np.column_stack([attitude[:, 0], attitude[:, 1:] @ across])

@@ -15,13 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.model.dynamics import Condensed
-from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.splits import Cut, Region
-from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, NOTHING, NOWHERE, POINTS, ProofTree
-from orbimpc_ros.mpc.solve.regions import CONE, Held, Rows
+from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, NOTHING, POINTS, ProofTree
+from orbimpc_ros.mpc.solve.regions import CONE, Held, Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import HEADING, Multipliers, Relaxation
-from orbimpc_ros.mpc.solve.request import Request
 
 LATE_NODES = 40  # limit for a proof written after the deadline: 2 or 3 ms
 
@@ -117,26 +114,13 @@ class ProofWriter:
     """Writer of the proof of one request.
 
     Args:
-        problem: what is solved.
-        condensed: its quadratic.
-        inverse: H^-1, shape (N, N); None if H is singular.
-        request: state and goals.
-        bodies: number of bodies.
-        origins: as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
+        regions: of the request.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        condensed: Condensed,
-        inverse: Array | None,
-        request: Request,
-        bodies: int = 0,
-        origins: Array = NOWHERE,
-    ) -> None:
-        self._maps, self._condensed, self._inverse = problem.maps, condensed, inverse
-        self._request, self._origins, self._horizon = request, origins, problem.horizon
-        self._rows = POINTS * problem.horizon * bodies  # on sides, per level of the tree
+    def __init__(self, regions: Regions) -> None:
+        self._regions = regions
+        # Rows on sides of bodies, per level of the tree.
+        self._rows = POINTS * regions.problem.horizon * regions.bodies
 
     def solved(self, relaxed: Relaxation, held: Held, depth: int) -> Leaf | None:
         """Return the proof of a node from its relaxation; None without multipliers.
@@ -165,28 +149,29 @@ class ProofWriter:
         if not whole and share.any():
             share = force - share
             if not relaxed.empty:
-                share += self._condensed.affine(self._request.state, self._request.goals)[0]
-                share += self._condensed.hessian @ point
+                request, condensed = self._regions.request, self._regions.condensed
+                share += condensed.affine(request.state, request.goals)[0]
+                share += condensed.hessian @ point
         slide = found.slide if found.slide.size else np.zeros(force.shape)
         return Leaf(point, found.pull, slide, found.tether, share, tuple(presses), relaxed.empty)
 
     def _force(self, found: Multipliers) -> Array:
         """Return the slopes of turns, a glide slope and an arrival, shape (N, n)."""
-        force = found.tether.copy()
+        maps, force = self._regions.problem.maps, found.tether.copy()
         force[:-1] -= found.tether[1:]
-        force += self._maps.arrival[: len(found.pull), 1:].T @ found.pull
-        return force + self._maps.reach[:, 1:].T @ found.slide if found.slide.size else force
+        force += maps.arrival[: len(found.pull), 1:].T @ found.pull
+        return force + maps.reach[:, 1:].T @ found.slide if found.slide.size else force
 
     def best(self, node: Node) -> Leaf | None:
         """Return the best proof of a node; None without multipliers."""
         if (node.leaf is not None and node.better) or node.above is None:
             return node.leaf
-        above = self.best(node.above)
+        above, inverse = self.best(node.above), self._regions.inverse
         if above is not None and node.refuted >= 0:
             return above.refuting(node.refuted, node.depth)
-        if above is None or not node.own or self._inverse is None:
+        if above is None or not node.own or inverse is None:
             return above
-        return above.raised(node.own, self._inverse, node.depth)
+        return above.raised(node.own, inverse, node.depth)
 
     def tree(self, nodes: Sequence[Node], most: int | None = None) -> ProofTree | None:
         """Return the proof of a search tree; None if a leaf has no multipliers.
@@ -201,7 +186,7 @@ class ProofWriter:
             ends = [each.first + each.cut.parts for each in nodes if each.cut]
             count = max([1, *(end for end in ends if end <= most)])
         for node in nodes[:count]:
-            if most is None and self._request.late and count > LATE_NODES:
+            if most is None and self._regions.request.late and count > LATE_NODES:
                 return self.tree(nodes, LATE_NODES)
             whole = node.cut is not None and node.first + node.cut.parts <= count
             if whole or node.known is None:
@@ -224,7 +209,7 @@ class ProofWriter:
             nodes=numbers,
             at=at,
             point=np.array([leaf.point for leaf in every]),
-            shor=np.zeros((len(every), self._horizon)),
+            shor=np.zeros((len(every), self._regions.problem.horizon)),
             press_end=np.cumsum([len(leaf.presses) for leaf in every]),
             press_row=np.array([row for row, _ in found], np.int64),
             press=np.array([size for _, size in found], float),
@@ -232,7 +217,7 @@ class ProofWriter:
             slide=_used([leaf.slide for leaf in every]),
             tether=_used([leaf.tether for leaf in every]),
             share=_used([leaf.share for leaf in every]),
-            origins=self._origins,
+            origins=self._regions.origins,
         )
 
 

@@ -10,6 +10,7 @@ Mathematics: docs/proofs.md.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -46,11 +47,17 @@ def refutation_of(sought: Case, count: int = 1, out_of_time: OutOfTime | None = 
     """
     trees = list[ProofTree]()
     for posed in refuted_by(refutation(sought, trees), count):
-        if out_of_time and out_of_time():
-            raise Unproved('no certificate: no refutation was found in time')
-        tree = _leaf(posed)
-        if not _proves(posed, tree):
-            tree = _found(sought, posed, out_of_time)
+        tree = None
+        if not (out_of_time and out_of_time()):
+            tried = _tried(sought, posed, out_of_time)
+            tree = next((each for each in tried if _proves(posed, each)), None)
+        if tree is None:
+            what = 'all trajectories'
+            if posed.problem.weights.terminal:
+                what = f'a catch at step {posed.problem.horizon}'
+            late = out_of_time and out_of_time()
+            missing = 'was found in time' if late else f'of {what} was found'
+            raise Unproved(f'no certificate: no refutation {missing}')
         trees.append(tree)
     return refutation(sought, trees)
 
@@ -78,28 +85,18 @@ def _leaf(posed: Posed) -> ProofTree:
     return leaf._replace(nodes=np.array([[EMPTY, 0, 0, 0, 0]]))
 
 
-def _found(sought: Case, posed: Posed, out_of_time: OutOfTime | None) -> ProofTree:
-    """Return the proof tree of the general search.
+def _tried(sought: Case, posed: Posed, out_of_time: OutOfTime | None) -> Iterator[ProofTree]:
+    """Yield trees that may be proofs: a single leaf, and that of the general search."""
+    yield _leaf(posed)
+    from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # slow to import
 
-    Raises:
-        Unproved: it finds no proof that holds.
-    """
-    from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # needs Clarabel
-
-    asked, state = posed.problem, posed.state
     names = 'horizon', 'terminal', 'weights', 'arrival_weight'
-    problem = replace(sought.problem, **{name: getattr(asked, name) for name in names})
-    units, coasting = Units.of(problem), state.coasted is not None
+    problem = replace(sought.problem, **{name: getattr(posed.problem, name) for name in names})
+    units, coasting = Units.of(problem), posed.state.coasted is not None
     among = bool(sought.state.hazards)
     search = BranchAndBound(units.problem, TOLERANCE, coasting=coasting, among=among)
     start, goals = units.state(sought.state), units.lengths(posed.goals)
     request = Request(start, goals, None, out_of_time, patient=True)
-    tree = search.exceeding(request, float(posed.cost) / units.cost)
+    tree = search.begun(request).exceeding(float(posed.cost) / units.cost)
     if tree is not None:
-        tree = units.posed(tree)
-        if _proves(posed, tree):
-            return tree
-    if out_of_time and out_of_time():
-        raise Unproved('no certificate: no refutation was found in time')
-    what = f'a catch at step {asked.horizon}' if asked.weights.terminal else 'all trajectories'
-    raise Unproved(f'no certificate: no refutation of {what} was found')
+        yield units.posed(tree)

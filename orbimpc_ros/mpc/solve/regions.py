@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import turn_margin
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
 from orbimpc_ros.mpc.geometry.separation import separation
+from orbimpc_ros.mpc.model.dynamics import Condensed
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.flight import DECIDED
 from orbimpc_ros.mpc.proof.rows import side_of
@@ -56,6 +57,7 @@ SATISFIED = 1e-7  # violation below which a choice is satisfied; a tenth of the 
 TURNED = 5e-7  # [rad] half the check's tolerance of turns
 REFUTED = 1e-6  # distance from which on a half-space counts as out of reach
 FINEST = 1e-6  # [rad] such a narrow sector misses its floor by less than rounding
+WORST_CONDITION = 1e12
 AROUND = 4  # arcs that the full circle is split into
 
 ALWAYS = -1  # key, in place of a choice, of half-spaces that hold in every region
@@ -73,21 +75,22 @@ class Regions:
 
     Args:
         problem: what to solve.
-        inverse: H^-1, shape (N, N); None if H is singular, or if nothing is branched on.
-        turns: the turn limit, if it bounds angles.
 
     Attributes:
+        condensed: the quadratic of the problem.
+        inverse: H^-1, shape (N, N); None if H is singular.
         turns: the turn limit, if it bounds angles.
+        request: the last one.
         first: index of the first heading that is not fixed by the state.
         bodies: number of bodies.
         origins: as in :class:`~orbimpc_ros.mpc.proof.tree.ProofTree`.
         floors: choices of headings with a floor.
     """
 
-    def __init__(
-        self, problem: Problem, inverse: Array | None = None, turns: Turns | None = None
-    ) -> None:
-        self.problem, self._statement, self.turns = problem, Statement(problem), turns
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self._statement = problem, Statement(problem)
+        self.turns = Turns(problem) if problem.turns_are_angles else None
+        self.condensed, self.inverse = Condensed(problem), None
         n, count, floor = problem.dimension, problem.horizon, problem.floor
         controls, started = problem.maps.controls, problem.maps.started
         self._controls, still = controls.shape[1], np.zeros((count, 3))
@@ -98,8 +101,10 @@ class Regions:
         self._moved: list[bool] = np.asarray(self._reach.any(axis=1)).tolist()
         self._headings = np.arange(count)[:, None]
         self._curvature = np.full(len(self._reach), np.inf)
-        if inverse is not None:
-            along = np.einsum('mi,ij,mj->m', self._reach, inverse, self._reach)
+        hessian = self.condensed.hessian
+        if np.linalg.cond(hessian) <= WORST_CONDITION:  # the condition of a zero matrix is NaN
+            self.inverse = np.linalg.inv(hessian)
+            along = np.einsum('mi,ij,mj->m', self._reach, self.inverse, self._reach)
             self._curvature = np.where(along > 0.0, along, np.inf)
         self._farthest = np.abs(self._reach).sum(axis=1)
         # Normals of the floor's faces, if these are its choices.
@@ -110,8 +115,8 @@ class Regions:
 
     def bind(self, request: Request) -> None:
         """Compute the data that depend only on state and goals."""
-        problem, self._state, count = self.problem, request.state, self.problem.horizon
-        state = self._state
+        problem, state, count = self.problem, request.state, self.problem.horizon
+        self.request, self._state = request, state
         limits = self._statement.limits(state, request.goals)
         stated = self._stated = self._statement.of(state, request.goals, limits)
         self.first, self.bodies = stated.order - 1, len(stated.bodies.at)

@@ -65,17 +65,34 @@ class Units:
     @classmethod
     def of(cls, problem: Problem) -> Units:
         """Return the natural units: the longest step from rest, a step, the largest curvature."""
-        scaled = _in_units(problem, problem.maps.unit, problem.step)
+        length, time, w = problem.maps.unit, problem.step, problem.weights
+        area = length * length
+        weights = Weights(
+            position=w.position * area,
+            # The inputs are first or second derivatives of dimensionless numbers.
+            input=w.input / time ** (2 * problem.rotation_order),
+            length=w.length * time * problem.forward,
+            terminal=w.terminal * area,
+            attitude=w.attitude,
+        )
+        scaled = replace(
+            problem,
+            step=1.0,
+            forward=1.0,
+            weights=weights,
+            arrival_weight=problem.arrival_weight * area,
+            max_rate=min(math.pi, problem.max_rate * time),
+            max_acceleration=problem.max_acceleration * time * time / length,
+            obstacles=tuple(body.scaled(1.0 / length) for body in problem.obstacles),
+        )
         curved = float(np.abs(np.diag(Condensed(scaled).hessian)).max())
-        cost = max(curved, scaled.weights.length) or 1.0
-        weights = Weights(*(each * (1.0 / cost) for each in astuple(scaled.weights)))
+        cost = max(curved, weights.length) or 1.0
+        weights = Weights(*(each * (1.0 / cost) for each in astuple(weights)))
         scaled = replace(scaled, weights=weights, arrival_weight=scaled.arrival_weight / cost)
-        return cls(scaled, problem.maps.unit, problem.step, cost)
+        return cls(scaled, length, time, cost)
 
     def state(self, state: State) -> State:
         """Return a state in these units."""
-        if self.length == self.time == 1.0:
-            return state
         inverse = 1.0 / self.length, 1.0 / self.time
         pushing = self.time ** (2 if self.problem.inertial else 1) / self.length
         return replace(
@@ -89,7 +106,7 @@ class Units:
 
     def lengths(self, values: Array) -> Array:
         """Return lengths [m] in these units."""
-        return values if self.length == 1.0 else values / self.length
+        return values / self.length
 
     def posed(self, tree: ProofTree) -> ProofTree:
         """Return a tree in these units converted to the units of the posed problem."""
@@ -102,29 +119,6 @@ class Units:
             tether=tree.tether * cost,
             share=tree.share * cost,
         )
-
-
-def _in_units(problem: Problem, length: float, time: float) -> Problem:
-    """Return a problem with lengths and times in other units, and with the same costs."""
-    w, area = problem.weights, length * length
-    weights = Weights(
-        position=w.position * area,
-        # The inputs are first or second derivatives of dimensionless numbers.
-        input=w.input / time ** (2 * problem.rotation_order),
-        length=w.length * problem.step * problem.forward,
-        terminal=w.terminal * area,
-        attitude=w.attitude,
-    )
-    return replace(
-        problem,
-        step=1.0,
-        forward=1.0,
-        weights=weights,
-        arrival_weight=problem.arrival_weight * area,
-        max_rate=min(math.pi, problem.max_rate * time),
-        max_acceleration=problem.max_acceleration * time * time / length,
-        obstacles=tuple(box.scaled(1.0 / length) for box in problem.obstacles),
-    )
 
 
 class Solver:

@@ -40,8 +40,7 @@ class Turns:
         self._widest, self._least = WITHIN * problem.widest_turn, problem.least_speed
         self._shares = np.eye(problem.horizon)
         # A speed allowed in every heading, and a turn with no longer a chord than at least speed.
-        self._speed = floor.circling(n)
-        half = self._least * math.sin(0.5 * self._widest) / self._speed
+        half = self._least * math.sin(0.5 * self._widest) / floor.circling(n)
         self._turn = 2.0 * math.asin(min(1.0, half))
         first = 2 if problem.first_turn_is_a_cone else 1
         most = min(problem.horizon, math.ceil(math.pi / problem.widest_turn) - 1)
@@ -59,45 +58,39 @@ class Turns:
         axis, found = state.attitude[:, 0], list[Row]()
         for k in self._steps:
             share = math.cos(k * self._problem.widest_turn)
-            least = self._narrow if narrow and k == 1 else min(share, self._least * share)
-            found.append(Row(k - 1, self._shares[k - 1], axis, least))
+            bound = max if narrow and k == 1 else min
+            found.append(Row(k - 1, self._shares[k - 1], axis, bound(share, self._least * share)))
         return tuple(found)
 
-    @property
-    def _narrow(self) -> float:
-        """Return a lower limit on Q_0 e1 . R_1 e1 within which no first turn is too wide."""
-        share = math.cos(self._widest)
-        return max(share, self._least * share)
-
-    def reached(self, state: State, headings: Array) -> tuple[Row, ...]:
-        """Return a cell for each step around headings that follow given ones as turns allow.
+    def followed(self, state: State, headings: Array) -> Array:
+        """Return headings of the same lengths that follow others as turns allow, shape (N + 1, n).
 
         Args:
             state: initial state of the plan.
-            headings: the given ones, R_0 e1..R_N e1, shape (N + 1, n).
+            headings: R_0 e1..R_N e1, shape (N + 1, n).
         """
-        cells, unit = [], state.attitude[:, 0]
+        unit, found = state.attitude[:, 0], headings.copy()
         for k, heading in enumerate(headings[1:], 1):
-            widest = self._turn if k > 1 else self._first()
             size = float(np.linalg.norm(heading))
             wanted = heading / size if size > HEADING_UNDEFINED else unit
             given = k == 1 and self._problem.rotation_order == 2
-            unit = wanted if given else turned_within(unit, wanted, widest)
-            cells.append(self._cell(k - 1, unit))
-        return tuple(cells)
+            unit = wanted if given else turned_within(unit, wanted, self._turn)
+            found[k] = max(size, self._least) * unit
+        return found
 
-    def kept(self, headings: Array) -> tuple[Row, ...]:
-        """Return the cells of headings R_1 e1..R_N e1, raised to nearly their speeds.
+    def cells(self, headings: Array, share: float) -> tuple[Row, ...]:
+        """Return the cells of headings R_1 e1..R_N e1, raised to a share of their speeds.
 
         Args:
             headings: R_0 e1..R_N e1, shape (N + 1, n).
+            share: the share; 0 for the least speeds.
         """
-        cells = []
+        found = []
         for k, heading in enumerate(headings[1:]):
-            cell = self._cell(k, heading / max(float(np.linalg.norm(heading)), HEADING_UNDEFINED))
-            fast = KEPT * float(cell.normal @ heading)
-            cells.append(cell._replace(offset=max(cell.offset, fast)))
-        return tuple(cells)
+            normal = self._problem.floor.tangent(heading)  # of a round floor, or the nearest face
+            fast = max(self._least, share * float(normal @ heading))
+            found.append(Row(k, self._shares[k], normal, fast))
+        return tuple(found)
 
     def cones(self, state: State, headings: Array) -> tuple[Row, ...]:
         """Return half-spaces about headings R_0 e1..R_N e1 in which any speeds turn in time."""
@@ -113,16 +106,6 @@ class Turns:
         share = math.cos(self._widest)
         slow = np.maximum(slow, fast * share)
         return np.sqrt(slow * slow + fast * fast - 2.0 * slow * fast * share)
-
-    def _first(self) -> float:
-        """Return a first turn [rad] allowed by its cone, or by its half-space if it has none."""
-        if self._problem.first_turn_is_a_cone:
-            return self._turn
-        return min(self._turn, math.acos(max(-1.0, min(1.0, self._narrow / self._speed))))
-
-    def _cell(self, k: int, unit: Array) -> Row:
-        """Return the tangent of a round floor, or the face nearest to a direction, (n,)."""
-        return Row(k, self._shares[k], self._problem.floor.tangent(unit), self._least)
 
 
 def spared(problem: Problem, state: State, headings: Array, leeway: float = 0.0) -> Array:
