@@ -464,8 +464,7 @@ class Part:
 
     def leaf(self, empty: bool) -> ProofTree:
         """Return a leaf with random multipliers of random magnitude."""
-        rng, count, n = self.rng, self.count, self.n
-        stated = self.stated
+        rng, count, n, stated = self.rng, self.count, self.n, self.stated
         point, shor = np.zeros((count, stated.width)), np.zeros(count)
 
         def some(*shape: int) -> np.ndarray:
