@@ -9,7 +9,6 @@ Mathematics: docs/mathematics.md, 4.8.
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -28,6 +27,10 @@ except ModuleNotFoundError:
 
 REDUCED = 1e-7
 SOLVED = ('Solved', 'AlmostSolved')
+# Of equalities; of rows Ax <= b; of vectors no longer than the number before them; of matrices as
+# upper triangles by columns, with off-diagonals times sqrt(2).
+Zero, Positive = clarabel.ZeroConeT, clarabel.NonnegativeConeT
+Round, Semidefinite = clarabel.SecondOrderConeT, clarabel.PSDTriangleConeT
 Part = tuple[Any, Array, list[Any]]  # rows of A, shape (m, columns), their b, and their cones
 
 
@@ -66,27 +69,6 @@ class ConeProgram(NamedTuple):
             offsets=offsets,
             cones=[*self.cones, *chain.from_iterable(more_cones)],
         )
-
-
-def zero(count: int) -> Any:
-    """Return the cone of equalities."""
-    return clarabel.ZeroConeT(count)
-
-
-def positive(count: int) -> Any:
-    """Return the cone of rows Ax <= b."""
-    return clarabel.NonnegativeConeT(count)
-
-
-def round_cones(count: int, n: int) -> list[Any]:
-    """Return cones of vectors of n numbers that are no longer than the number before them."""
-    return [clarabel.SecondOrderConeT(1 + n)] * count
-
-
-def semidefinite(count: int, order: int) -> list[Any]:
-    """Return cones of matrices: upper triangles by columns, off-diagonals times sqrt(2)."""
-    import_module('scipy.linalg')  # Clarabel would, at the first solve: 60 ms, in a tick
-    return [clarabel.PSDTriangleConeT(order)] * count
 
 
 def run(

@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.problem import LEEWAY
 from orbimpc_ros.mpc.problem.reach import WITHIN, entry_speed, first_change_is_decided
 from orbimpc_ros.mpc.search.engine import PlanarSearch
-from orbimpc_ros.mpc.solve.conic import positive
+from orbimpc_ros.mpc.solve.conic import Positive
 from orbimpc_ros.mpc.solve.dives import FOLLOWED, WORTH
 from orbimpc_ros.mpc.solve.program import Program
 from orbimpc_ros.mpc.solve.regions import Regions
@@ -146,7 +146,7 @@ class PacedSpeeds:
             wide = half >= NARROW
             (held if wide else rays).extend(cone(k, units, half * wide))
         sizes, offsets = self._limits(state, units)
-        paced = program.stated(request).extended((sizes, offsets, [positive(len(offsets))]))
+        paced = program.stated(request).extended((sizes, offsets, [Positive(len(offsets))]))
         paced = program.cut(program.cut(paced, held), rays, equal=True)
         relaxed = program.solved(request, paced)
         return relaxed.x if relaxed.is_accurate else None

@@ -55,23 +55,20 @@ class Places(NamedTuple):
     """Data common to all solves.
 
     Attributes:
-        hessian: H, shape (N, N).
         maps: A, coefficients of z_1..z_N in each place, shape (P, N); the first N are the identity.
         gram: G, shape (P, P).
         balls: places constrained to balls, shape (B,); the first N are the thrust axes.
     """
 
-    hessian: Array
     maps: Array
     gram: Array
     balls: np.ndarray
 
 
 class Asked(NamedTuple):
-    """Data of one solve: the linear term and the constraints.
+    """Data of one solve: the constraints, and where they would not matter.
 
     Attributes:
-        q: linear term, shape (N, n).
         free: places of the unconstrained minimiser, shape (P, n).
         centres: of the balls, shape (B, n).
         radii: of the balls, shape (B,).
@@ -80,7 +77,6 @@ class Asked(NamedTuple):
         offsets: shape (M,).
     """
 
-    q: Array
     free: Array
     centres: Array
     radii: Array
@@ -203,11 +199,12 @@ def _add(known, held, count, r):
         r: set to the decrease of the other multipliers per unit of the new one, shape (S,).
 
     Returns:
-        ``ADDED``, ``BLOCKED`` if no row can be dropped for it, or ``BROKEN`` by rounding; and the
-        new number of rows.
+        ``ADDED``, ``BLOCKED`` if no row can be dropped for it, or ``BROKEN`` by rounding; the new
+        number of rows; and by how much the dual value rises.
     """
     place, row, size = held.at[count], held.normals[count], len(held.u)
     gap, own, held.u[count] = held.offsets[count], known.gram[place, place], 0.0
+    risen = 0.0
     for c in range(len(row)):
         gap -= row[c] * held.values[place, c]
     for i in range(count + 1):
@@ -222,42 +219,25 @@ def _add(known, held, count, r):
         whole = gap / curvature if curvature > FLAT * own else np.inf
         move = min(limit, whole)
         if move == np.inf:
-            return BLOCKED, count
+            return BLOCKED, count + 1, risen
         held.u[count] += move
+        risen += move * (gap - 0.5 * move * max(0.0, curvature))
         for i in range(count):
             held.u[i] = max(0.0, held.u[i] - move * r[i])
         gap -= move * max(0.0, curvature)
         if whole <= limit:
             count += 1
             if count < size and extend_factor(held.gram, held.factor, count - 1, count, SINGULAR):
-                return ADDED, count
-            return BROKEN, 0
+                return ADDED, count, risen
+            return BROKEN, 0, 0.0
         if not _drop(held, blocking, count):
-            return BROKEN, 0
+            return BROKEN, 0, 0.0
         count -= 1
-    return BROKEN, 0
-
-
-@compiled
-def _dual_value(known, q, held, count):
-    """Return the Lagrangian f(z) + sum_i u_i (b_i - a_i . z) at its minimiser."""
-    steps, n = q.shape
-    value = 0.0
-    for i in range(count):
-        value += held.u[i] * held.offsets[i]
-        for c in range(n):
-            value -= held.u[i] * held.normals[i, c] * held.values[held.at[i], c]
-    for k in range(steps):
-        for c in range(n):
-            bent = 0.0
-            for j in range(steps):
-                bent += known.hessian[k, j] * held.values[j, c]
-            value += held.values[k, c] * (0.5 * bent + q[k, c])
-    return value
+    return BROKEN, 0, 0.0
 
 
 @entry_point
-def minimise(known, asked, held, count, work):
+def minimise(known, asked, held, count, value, work):
     """Solve from an active set that is optimal for its rows: an empty or an interrupted one.
 
     Args:
@@ -265,33 +245,35 @@ def minimise(known, asked, held, count, work):
         asked: data of this solve.
         held: the active set, updated in place; ``values`` are the places of the solution.
         count: number of its rows.
+        value: the dual value.
         work: budget of multiplications, exceeded by at most one row.
 
     Returns:
         The status, the dual value, and the number of active rows. Their multipliers belong to the
         solution, or if ``REFUTED`` prove infeasibility.
     """
-    r, n = np.empty(len(held.u)), asked.q.shape[1]
+    r, n = np.empty(len(held.u)), asked.free.shape[1]
     each = float((len(asked.places) + len(known.balls) + count * len(asked.free)) * n)
     _set_values(known.gram, asked.free, held, count)
     for _ in range(ITERATIONS):
         if not _find(known, asked, held, count):
-            return SOLVED, _dual_value(known, asked.q, held, count), count
+            return SOLVED, value, count
         if work <= 0.0:
-            return INTERRUPTED, _dual_value(known, asked.q, held, count), count
-        became, count = _add(known, held, count, r)
+            return INTERRUPTED, value, count
+        became, count, risen = _add(known, held, count, r)
+        value += risen
         if became == BROKEN:
             return STALLED, -np.inf, 0
         work -= each + count * (2.0 * count + len(asked.free) * n)
         _set_values(known.gram, asked.free, held, count)
         if became == BLOCKED:
-            bound, y = _dual_value(known, asked.q, held, count), np.maximum(0.0, -r[: count + 1])
-            y[count] = 1.0
+            y = np.maximum(0.0, -r[:count])
+            y[-1] = 1.0
             if refutes(known.maps, (held.at, held.normals, held.offsets), y):
                 copy_to(held.u, y)
-                return REFUTED, bound, count + 1
-            return STALLED, bound, count
-    return STALLED, _dual_value(known, asked.q, held, count), count
+                return REFUTED, value, count
+            return STALLED, value, count
+    return STALLED, value, count
 
 
 class PlaceProgram:
@@ -305,8 +287,7 @@ class PlaceProgram:
         self.problem = problem
         steps, n = problem.horizon, problem.dimension
         self._condensed = Condensed(problem)
-        hessian = self._condensed.hessian
-        self._inverse = np.linalg.inv(hessian)
+        self._inverse = np.linalg.inv(self._condensed.hessian)
         self._inverse = 0.5 * (self._inverse + self._inverse.T)
         turned = np.diff(np.eye(steps + 1), axis=0)[int(problem.turns_are_angles) :, 1:]
         turned = turned if problem.max_rate else turned[:0]
@@ -314,7 +295,7 @@ class PlaceProgram:
         last = len(maps) - len(turned)
         balls = np.concatenate([np.arange(steps), last + np.arange(len(turned))])
         gram = maps @ self._inverse @ maps.T
-        self._known = Places(hessian, maps, 0.5 * (gram + gram.T), balls)
+        self._known = Places(maps, 0.5 * (gram + gram.T), balls)
         self._held = active_set(steps, len(maps), n)
         self._request: Request | None = None
         self._minimise = bare(minimise)
@@ -345,8 +326,9 @@ class PlaceProgram:
     def _bind(self, request: Request) -> None:
         """Compute the data that depend only on state and goals."""
         problem, self._request, state = self.problem, request, request.state
-        self._q, self._constant = self._condensed.affine(state, request.goals)
-        self._free = self._known.maps @ (-self._inverse @ self._q)
+        q, constant = self._condensed.affine(state, request.goals)
+        free = -self._inverse @ q
+        self._free, self._least = self._known.maps @ free, constant + 0.5 * float(np.vdot(q, free))
         self._centres = np.zeros((len(self._known.balls), problem.dimension))
         self._radii = np.ones(len(self._centres))
         self._radii[problem.horizon :] = problem.chord
@@ -360,10 +342,10 @@ class PlaceProgram:
         """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`."""
         if request is not self._request:
             self._bind(request)
-        asked, count, bound = self._asked(rows, chords), 0, -np.inf
+        asked, count, bound = self._asked(rows, chords), 0, self._least
         while True:
-            status, value, count = self._minimise(self._known, asked, self._held, count, SLICE)
-            bound = max(bound, value + self._constant)
+            given = self._known, asked, self._held, count, bound, SLICE
+            status, bound, count = self._minimise(*given)
             if status != INTERRUPTED or request.late:
                 break
         x = self._coordinates(request.state) if status == SOLVED else None
@@ -392,7 +374,7 @@ class PlaceProgram:
             radii = radii.copy()
             radii[steps:] = np.minimum(radii[steps:], chords)
         known = stacked([*rows, *self._edges], self.problem.dimension)
-        return Asked(self._q, self._free, self._centres, radii, *known)
+        return Asked(self._free, self._centres, radii, *known)
 
 
 def _edges(problem: Problem, state: State) -> list[Row]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from importlib import import_module
 from itertools import chain
 from typing import Any
 
@@ -44,11 +45,11 @@ from orbimpc_ros.mpc.solve.conic import (
     SOLVED,
     ConeProgram,
     Part,
-    positive,
-    round_cones,
+    Positive,
+    Round,
+    Semidefinite,
+    Zero,
     run,
-    semidefinite,
-    zero,
 )
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row
 from orbimpc_ros.mpc.solve.request import Request
@@ -131,16 +132,16 @@ class Program:
         """State x_0, the dynamics and an arrival."""
         problem, n, steps = self.problem, self.problem.dimension, self.problem.horizon
         start, last = self._x[0], self._y[-1]
-        self._add('start', self._over(start, np.eye(len(start))), 0.0, [zero(len(start))])
+        self._add('start', self._over(start, np.eye(len(start))), 0.0, [Zero(len(start))])
         once = step_of(problem.translation, problem.step, problem.forward)
         kept = sparse.eye(steps * len(last)) - sparse.kron(np.eye(steps, k=-1), once.transition)
         pushed = sparse.kron(np.eye(steps, steps + 1), once.push[:, None])
         pushed += sparse.kron(np.eye(steps, steps + 1, 1), once.follow[:, None])
         moved = self._over(self._y, sparse.kron(kept, np.eye(n)))
         moved -= self._over(self._x, sparse.kron(pushed, np.eye(n, self._width)))
-        self._add('moved', moved, 0.0, [zero(self._y.size)])
+        self._add('moved', moved, 0.0, [Zero(self._y.size)])
         if problem.terminal == 'constraint':
-            self._add('arrival', self._over(last, np.eye(last.size)), 0.0, [zero(last.size)])
+            self._add('arrival', self._over(last, np.eye(last.size)), 0.0, [Zero(last.size)])
 
     def _state_limits(self) -> None:
         """State the limits of each R_k, of its speed and tilt, of the slope, and of chords."""
@@ -162,21 +163,24 @@ class Program:
             x, y, z = slope_sides(problem)
             sides = -np.array([[0.0, 0.0, z], [x, 0.0, 0.0], [0.0, y, 0.0]])
             beside = self._over(self._y[:, 0], sparse.kron(every, sides))
-            self._add('slope', beside, 0.0, round_cones(steps, 2))
+            self._add('slope', beside, 0.0, [Round(3)] * steps)
         # With angles, the first turn is from Q_0 e1: no chord of R_0 e1.
         turned = np.diff(np.eye(steps + 1), axis=0)[int(problem.turns_are_angles) :]
         if problem.max_rate and len(turned):
             self._within('chords', self._x, turned, problem.chord)
         if self._width == 9:
+            import_module('scipy.linalg')  # Clarabel would, at the first solve: 60 ms, in a tick
             constant, linear = lmi_parts()
             low, high = np.tril_indices(ORDER)  # of the transpose, hence column by column
             scale, picked = np.where(low == high, 1.0, math.sqrt(2.0)), ORDER * high + low
             parts = sparse.kron(np.eye(len(free)), -scale[:, None] * linear[picked])
             offsets = np.tile(scale * constant[picked], len(free))
-            self._add('orbitopes', self._over(free, parts), offsets, semidefinite(len(free), ORDER))
+            self._add(
+                'orbitopes', self._over(free, parts), offsets, [Semidefinite(ORDER)] * len(free)
+            )
 
     def _below(self, name: str, rows: sparse.csr_matrix, offsets: Any) -> None:
-        self._add(name, rows, offsets, [positive(rows.shape[0])])
+        self._add(name, rows, offsets, [Positive(rows.shape[0])])
 
     def _within(
         self, name: str, x: np.ndarray, shares: Array, size: float, sizes: np.ndarray = NONE
@@ -195,7 +199,7 @@ class Program:
         rows = self._over(x, sparse.kron(-shares, sides))
         if len(sizes):
             rows -= self._over(sizes, sparse.kron(np.eye(count), heads))
-        self._add(name, rows, np.tile(size * heads[:, 0], count), round_cones(count, n))
+        self._add(name, rows, np.tile(size * heads[:, 0], count), [Round(1 + n)] * count)
 
     def _cost(self) -> tuple[sparse.csc_matrix, Array]:
         """Return half of P (of distances, inputs and the last rotation), and q (of lengths)."""
@@ -278,7 +282,7 @@ class Program:
             if self._coasting:
                 assert state.coasted is not None
                 fixed[:, self._rho[0]], known = -coordinates(state.coasted), 0.0 * known
-            parts.append((fixed, known, [zero(self._width)]))
+            parts.append((fixed, known, [Zero(self._width)]))
         if problem.first_turn_is_a_cone:
             aims.append((self.x[0, :n], state.attitude[:, 0], problem.widest_turn))
         if problem.approach.exists:
@@ -287,12 +291,12 @@ class Program:
             ahead = np.zeros((1, self.count))
             ahead[0, last] = -axis
             least = math.cos(problem.approach.cone) * problem.least_heading
-            parts.append((ahead, np.array([-least]), [positive(1)]))
+            parts.append((ahead, np.array([-least]), [Positive(1)]))
         for along, (z, axis, angle) in zip(self._along, aims, strict=True):
             cone = np.zeros((1 + n, self.count))
             cone[1:, z] = -np.eye(n)
             cone[:, along] = [-math.sin(angle), *axis]
-            parts.append((cone, np.zeros(1 + n), round_cones(1, n)))
+            parts.append((cone, np.zeros(1 + n), [Round(1 + n)]))
         return parts
 
     # --- solves
@@ -316,7 +320,7 @@ class Program:
         entries = np.zeros((len(rows), self.count))
         axes = self.x[:, : self.problem.dimension]
         entries[:, axes] = -shares[:, :, None] * normals[:, None]
-        offsets, cone = -np.array([row.offset for row in rows]), zero if equal else positive
+        offsets, cone = -np.array([row.offset for row in rows]), Zero if equal else Positive
         return program.extended((entries, offsets, [cone(len(rows))]))
 
     def solved(self, request: Request, program: ConeProgram) -> Relaxation:
