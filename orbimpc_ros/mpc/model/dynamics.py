@@ -292,17 +292,13 @@ class Unconstrained(NamedTuple):
         inverse: of the Hessian over the free steps, projected to the directions that a terminal
             constraint leaves free; zero for a given R_1, shape (N, N).
         minimiser: x_1..x_N, shape (N, m).
-        bent: H x, shape (N, m).
         least: the cost, as a quadratic form, shape (m, m).
-        constant: the cost of x = 0, as a quadratic form, shape (m, m).
         lift: least moves of x by which the rows of a terminal constraint change by one, (N, rows).
     """
 
     inverse: Array
     minimiser: Array
-    bent: Array
     least: Array
-    constant: Array
     lift: Array
 
 
@@ -335,6 +331,5 @@ def _unbounded(known: int, quadratic: Quadratic, rows: Array, values: Array) -> 
     lift = raised @ np.linalg.inv(rows @ raised)
     inverse = inverse - lift @ raised.T
     minimiser = first + lift @ (values - rows @ first) - inverse @ (q + hessian @ first)
-    bent = hessian @ minimiser
-    least = c + minimiser.T @ (0.5 * bent + q)
-    return Unconstrained(inverse, minimiser, bent, 0.5 * (least + least.T), c, lift)
+    least = c + minimiser.T @ (0.5 * hessian @ minimiser + q)
+    return Unconstrained(inverse, minimiser, 0.5 * (least + least.T), lift)

@@ -147,8 +147,9 @@ class SO3Multipliers:
             self._least += float(self._speeds[0]) * fast
         self._start = np.hstack([thrust.minimiser @ axes, others.minimiser @ rest])
         self._least += _quadratic(thrust.least, axes) + _quadratic(others.least, rest)
-        self._rounding = ROUNDING * _quadratic(thrust.constant, axes)
-        self._scale = max(1.0, float(np.abs(thrust.bent @ axes).max()) / USUAL)
+        self._rounding = ROUNDING * _quadratic(self._condensed.axes.squared, axes[:-1])
+        bent = self._condensed.hessian @ self._start[:, :3]
+        self._scale = max(1.0, float(np.abs(bent).max()) / USUAL)
 
     def _choose_fraction(self, axes: Array, rest: Array) -> None:
         """Choose R_1 = rho * coasted with the rho that is optimal without the orbitopes.
