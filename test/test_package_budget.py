@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 29_036,
-    'orbimpc_ros/mpc': 15_010,
+    'orbimpc_ros': 29_000,
+    'orbimpc_ros/mpc': 14_974,
     'orbimpc_ros/loop': 3_288,
     'orbimpc_ros/ros': 4_164,
     'orbimpc_ros/sim': 2_388,
