@@ -7,9 +7,10 @@ Without numba the functions are ordinary Python: correct, but too slow to be use
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 
-def _plain(function: Callable) -> Callable:
+def _plain(function: Callable, *_: Any, **__: Any) -> Callable:
     return function
 
 

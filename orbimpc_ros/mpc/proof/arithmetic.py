@@ -58,7 +58,7 @@ def by_type(in_floats: Callable, in_fractions: Callable) -> Callable:
 
 def floats(function: Callable) -> Callable:
     """Return a generic function compiled for floats; the machine code is cached on disk."""
-    return entry_point(_bound_to_floats(function)) if COMPILED else function
+    return entry_point(_bound_to_floats(function), 'python') if COMPILED else function
 
 
 @cache
@@ -76,7 +76,7 @@ def _bound_to_floats(function: Callable) -> Callable:
 @cache
 def _part(function: Callable) -> Callable:
     """Return a generic function compiled for floats, once for all of its callers."""
-    return compiled(_bound_to_floats(function))
+    return compiled(_bound_to_floats(function), 'python')
 
 
 def _root(x):
