@@ -63,13 +63,12 @@ from orbimpc_ros.mpc.search.shor import (
     certify,
     climb,
     priced_branching,
-    set_spread,
 )
 from orbimpc_ros.mpc.search.tree import KEY, MOST_ARCS, branch, plant, take_better, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Method, Request, general
 
-# In Tree.counts: descents begun; node to start beside; its next side, and the end; next start.
-STARTS, FROM, SIDE, SIDES, BEGIN = range(3, 8)
+# In Tree.counts: node whose climb ended last; whether a descent from there is due; next start.
+FROM, DUE, BEGIN = range(3, 6)
 NARROWEST = 1e-6  # [rad], narrower sectors are not cut
 NEAR = 0.2  # share of a bound's gap: climbs that cannot gain more than this end early, except
 # at the root, whose point is needed as a start for descents
@@ -93,22 +92,21 @@ def _begin(posed, tree, descent):
 
 @compiled
 def _set_out(posed, tree, descent, starts):
-    """Begin the next descent, from beside a node or else a start; return False if none remains.
+    """Begin the next descent, from a climb's end or else a start; return False if none remains.
 
     With an arrival, the last start is used only after the root is solved.
     """
     counts, given = tree.counts, len(starts)
     if posed.stiff > 0.0 and counts[NODES] == 0:
         given -= 1
-    if counts[SIDE] < counts[SIDES]:
-        set_spread(posed, tree, counts[FROM], counts[SIDE], descent.z)
-        counts[SIDE] += 1
+    if counts[DUE] > 0:
+        copy_to(descent.z, tree.z[counts[FROM]])
+        counts[DUE] = 0
     elif counts[BEGIN] < given:
         copy_to(descent.z, starts[counts[BEGIN]])
         counts[BEGIN] += 1
     else:
         return False
-    counts[STARTS] += 1
     set_out(posed, descent, tree.pull[counts[FROM], 0])
     return True
 
@@ -153,10 +151,7 @@ def _split(tree, node, k, cutoff):
 
 @compiled
 def _solve_node(posed, tolerance, tree, node, work):
-    """Climb a node, split it, and schedule descents; return the remaining multiplications.
-
-    Descents begin on all sides of the root, then on one side, in turn, of some nodes.
-    """
+    """Climb a node, split it, and schedule a descent; return the remaining multiplications."""
     counts, near = tree.counts, NEAR if node > 0 else 0.0
     cutoff = cutoff_of(tree.numbers[VALUE], posed.constant, tolerance)
     status, work = climb(posed, tree, node, near, cutoff, work)
@@ -166,9 +161,7 @@ def _solve_node(posed, tolerance, tree, node, work):
         return work
     counts[NODES] += 1
     if status != PRUNED and (counts[NODES] <= YOUNG or counts[NODES] % EVERY == 0):
-        sides = 2 * (len(posed.left) - 1)
-        counts[FROM], counts[SIDE] = node, counts[STARTS] % sides if node > 0 else 0
-        counts[SIDES] = counts[SIDE] + 1 if node > 0 else sides
+        counts[FROM], counts[DUE] = node, 1
     k = -1
     if len(posed.left) == 2 and key < cutoff:
         k = priced_branching(posed, tree, node, NARROWEST)
@@ -187,7 +180,7 @@ def _search(posed, tolerance, tree, descent, starts, work):
         posed: the problem.
         tolerance: relative gap at which to stop.
         tree: updated in place; without nodes, the search begins.
-        descent: the current one, from a start or from beside a node.
+        descent: the current one, from a start or from a node.
         starts: headings to descend from: a guess, if there is one, and the minimiser without
             bounds on lengths, shape (S, N, n).
         work: multiplications to do.

@@ -4,7 +4,7 @@
 The variables are the modulus of each heading, between its bounds, and its direction, in the tangent
 plane of the sphere. A damped Newton method descends in these; a modulus on a bound that the
 gradient pushes against is held. Multipliers and a penalty add an arrival a z = b to the cost (an
-augmented Lagrangian); steps satisfy it to first order unless they would be too long.
+augmented Lagrangian).
 
 Mathematics: docs/mathematics.md, 4.4.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import copy_to, set_basis, solve_factored, solve_spd
+from orbimpc_ros.mpc.kernels.linear import copy_to, set_basis
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
 from orbimpc_ros.mpc.search.relax import cost_of, length_of, rise_of
@@ -217,51 +217,6 @@ def _move(posed, z, by, step, there):
 
 
 @compiled
-def _correct(posed, z, by, size, solved, step, pull):
-    """Correct a step to satisfy the arrival to first order, and update its multipliers.
-
-    Nothing changes if the corrected step would be too long.
-
-    Args:
-        posed: the problem.
-        z: shape (N, n).
-        by: see :func:`_set_model`.
-        size: number of free variables.
-        solved: their indices, the factor of their system, and memory, from computing the step.
-        step: shape (n N,), updated.
-        pull: shape (n,), updated.
-    """
-    (count, n), (free, factor, column) = z.shape, solved
-    ways, gram, more = np.zeros((n, size)), np.zeros((n, n)), np.zeros(n)
-    rows = np.zeros((n, size))
-    for c in range(n):
-        more[c] = missed_by(posed, z, c)
-        for i in range(size):
-            k, e = free[i] // n, free[i] % n
-            rows[c, i] = column[i] = posed.arrival[k] * by[k, e, c]
-            more[c] += rows[c, i] * step[free[i]]
-        solve_factored(factor, column, size)
-        copy_to(ways[c], column[:size])
-    for c in range(n):
-        for d in range(n):
-            for i in range(size):
-                gram[c, d] += rows[c, i] * ways[d, i]
-    if not solve_spd(gram, more, n):
-        return
-    square = 0.0
-    for i in range(size):
-        moved = step[free[i]]
-        for c in range(n):
-            moved -= ways[c, i] * more[c]
-        column[i] = moved
-        square += moved * moved
-    if square <= count * LONGEST * LONGEST:
-        pull += more
-        for i in range(size):
-            step[free[i]] = column[i]
-
-
-@compiled
 def _newton_step(posed, descent, room):
     """Take a Newton step for given multipliers of the arrival.
 
@@ -269,7 +224,7 @@ def _newton_step(posed, descent, room):
         True if the descent has settled, and the number of systems solved.
     """
     by, gradient, curved, step, y, bounds, free, there = room
-    z, numbers, pull = descent.z, descent.numbers, descent.pull.copy()
+    z, numbers, pull = descent.z, descent.numbers, descent.pull
     (count, n), stiff, tried = z.shape, numbers[STIFF], 0
     _set_model(posed, stiff, pull, z, by, gradient, curved)
     settled = SETTLED * max(abs(cost_of(posed, z) + posed.constant), NEGLIGIBLE)
@@ -279,11 +234,7 @@ def _newton_step(posed, descent, room):
         scale = max(scale, posed.hessian[k, k])
     while numbers[DAMPING] <= STIFFEST:
         expected, square, tried = 0.0, np.inf, tried + 1
-        size = set_step(curved, gradient, y, bounds, numbers[DAMPING] * scale, free, step)
-        if size >= 0:
-            copy_to(pull, descent.pull)
-            if stiff > 0.0:
-                _correct(posed, z, by, size, free, step, pull)
+        if set_step(curved, gradient, y, bounds, numbers[DAMPING] * scale, free, step) >= 0:
             square = 0.0
             for i in range(len(step)):
                 square += step[i] * step[i]
@@ -293,7 +244,6 @@ def _newton_step(posed, descent, room):
             fall = -_rise(posed, stiff, pull, z, there)
             if fall > 0.0 or expected <= LOST * settled:
                 copy_to(z, there)
-                copy_to(descent.pull, pull)
                 numbers[DAMPING] = max(CALMEST, CALMED * numbers[DAMPING])
                 break
         numbers[DAMPING] *= STIFFENED

@@ -35,7 +35,6 @@ from orbimpc_ros.mpc.kernels.linear import (
     copy_to,
     extend_factor,
     invert_spd,
-    set_basis,
     solve_factored,
     solve_spd,
 )
@@ -471,39 +470,6 @@ def climb(posed, tree, node, near, cutoff, work):
     for i in range(total):
         held[rows.kinds[i], rows.steps[i]] = weights[i]
     return status, work
-
-
-@compiled
-def set_spread(posed, tree, node, side, aside):
-    """Set headings on one side of the end of a climb, at the reach of its second moments.
-
-    These are those of z plus 2 mu P. If two paths around cost nearly the same, the inverse of P is
-    nearly singular, and z lies between the two.
-
-    Args:
-        posed: the problem.
-        tree: the search.
-        node: index of a node whose climb has ended.
-        side: index among 2 (n - 1) sides: both directions along each tangent.
-        aside: shape (N, n), set.
-    """
-    z, (count, n) = tree.z[node], aside.shape
-    rows, inverse = rows_of(posed.floor, tree.sectors[node], n), np.zeros((count, count))
-    weights, j = np.empty(len(rows.steps)), 0
-    for i in range(len(weights)):
-        weights[i] = tree.held[node, rows.kinds[i], rows.steps[i]]
-    _set_minimiser(posed, rows, weights, inverse, aside, np.zeros(n))
-    for k in range(count):
-        if inverse[k, k] > inverse[j, j]:
-            j = k
-    by = np.zeros((n, n))
-    copy_to(by[0], z[j])
-    set_basis(by)
-    reach = np.sqrt(2.0 * tree.known[node, MU] / SHRINK / (inverse[j, j] + 1e-300))
-    reach *= 1.0 if side % 2 == 0 else -1.0
-    for k in range(count):
-        for c in range(n):
-            aside[k, c] = z[k, c] + inverse[k, j] * reach * by[1 + side // 2, c]
 
 
 @compiled
