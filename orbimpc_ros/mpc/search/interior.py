@@ -22,24 +22,33 @@ INSIDE = 0.99  # share of the way to a limit that a step may take
 THIN = 1e-9  # least size of a set with an interior
 SHORT = 1e-4  # smoothing of the length of headings near zero
 HELD = 1e12  # factor on the curvature, to hold headings whose sets have no interior
-TINIEST = 1e-300
 LIMITS = 4  # limits of a set: speed, both edges, chord
 
 
 @compiled
-def _depths(shape, x, y, depths, normals):
-    """Set a point's depths inside of the limits, and the inward normals; return their number."""
-    depths[0] = 0.5 * (shape[OUTER] ** 2 - x * x - y * y)
-    normals[0, 0], normals[0, 1] = -x, -y
-    if shape[KIND] < NARROW:
-        return 1
-    normals[1, 0], normals[1, 1] = -shape[LY], shape[LX]
-    normals[2, 0], normals[2, 1] = shape[UY], -shape[UX]
-    normals[3, 0], normals[3, 1] = shape[NX], shape[NY]
-    for i in range(1, LIMITS):
-        depths[i] = normals[i, 0] * x + normals[i, 1] * y
-    depths[3] -= shape[NB]
-    return LIMITS
+def set_depths(shapes, z, depths, normals):
+    """Set the depths of points inside of the limits of their sets, and the inward normals.
+
+    Args:
+        shapes: outlines, shape (N, 12).
+        z: points, shape (N, 2).
+        depths: shape (N, 4), set; 0 where there is no limit, or the set has no interior.
+        normals: shape (N, 4, 2), set.
+    """
+    for k in range(len(z)):
+        shape, x, y = shapes[k], z[k, 0], z[k, 1]
+        normals[k, 0, 0], normals[k, 0, 1] = -x, -y
+        normals[k, 1, 0], normals[k, 1, 1] = -shape[LY], shape[LX]
+        normals[k, 2, 0], normals[k, 2, 1] = shape[UY], -shape[UX]
+        normals[k, 3, 0], normals[k, 3, 1] = shape[NX], shape[NY]
+        depths[k, 0] = least = 0.5 * (shape[OUTER] ** 2 - x * x - y * y)
+        limits = 1 if shape[KIND] < NARROW else LIMITS
+        for i in range(1, limits):
+            depth = normals[k, i, 0] * x + normals[k, i, 1] * y
+            depths[k, i] = depth - shape[NB] if i == 3 else depth
+            least = min(least, depths[k, i])
+        for i in range(0 if least <= 0.0 else limits, LIMITS):
+            depths[k, i] = 0.0
 
 
 @compiled
@@ -65,20 +74,20 @@ def set_inside(shapes, z):
 
 
 @compiled
-def set_system(posed, shapes, z, slope, multipliers, aim, system, right):
+def set_system(posed, z, slope, limits, multipliers, aim, system, right):
     """Set Newton's system: stationarity of the cost, and depths times multipliers equal to ``aim``.
 
     Args:
         posed: the problem.
-        shapes: outlines, shape (N, 12).
-        z: points inside of them, shape (N, 2).
+        z: points, shape (N, 2).
         slope: H z + q, shape (N, 2).
+        limits: depths and normals of the points; see :func:`set_depths`.
         multipliers: > 0, shape (N, 4).
         aim: target of depths times multipliers.
         system: its lower triangle is set, shape (2N, 2N).
         right: shape (2N,), set.
     """
-    depths, normals = np.empty(LIMITS), np.empty((LIMITS, 2))
+    depths, normals = limits
     for k in range(len(z)):
         for j in range(k + 1):
             system[2 * k, 2 * j] = system[2 * k + 1, 2 * j + 1] = posed.hessian[k, j]
@@ -93,86 +102,59 @@ def set_system(posed, shapes, z, slope, multipliers, aim, system, right):
             system[2 * k, 2 * k] += bent * y * y
             system[2 * k + 1, 2 * k] -= bent * x * y
             system[2 * k + 1, 2 * k + 1] += bent * x * x
-        count = _depths(shapes[k], x, y, depths, normals)
-        for i in range(count):
-            if depths[i] <= 0.0:  # no interior
-                system[2 * k, 2 * k] += HELD * posed.hessian[k, k]
-                system[2 * k + 1, 2 * k + 1] += HELD * posed.hessian[k, k]
-                right[2 * k] = right[2 * k + 1] = 0.0
-                break
-            a, b, push = normals[i, 0], normals[i, 1], multipliers[k, i] / depths[i]
-            right[2 * k] += aim / depths[i] * a
-            right[2 * k + 1] += aim / depths[i] * b
-            system[2 * k, 2 * k] += push * a * a
+        if depths[k, 0] == 0.0:  # no interior
+            system[2 * k, 2 * k] += HELD * posed.hessian[k, k]
+            system[2 * k + 1, 2 * k + 1] += HELD * posed.hessian[k, k]
+            right[2 * k] = right[2 * k + 1] = 0.0
+        for i in range(LIMITS):
+            if depths[k, i] == 0.0:
+                continue
+            a, b, push = normals[k, i, 0], normals[k, i, 1], multipliers[k, i] / depths[k, i]
+            right[2 * k] += aim / depths[k, i] * a
+            right[2 * k + 1] += aim / depths[k, i] * b
+            bent = multipliers[k, 0] if i == 0 else 0.0
+            system[2 * k, 2 * k] += push * a * a + bent
             system[2 * k + 1, 2 * k] += push * a * b
-            system[2 * k + 1, 2 * k + 1] += push * b * b
-            if i == 0:
-                system[2 * k, 2 * k] += multipliers[k, 0]
-                system[2 * k + 1, 2 * k + 1] += multipliers[k, 0]
+            system[2 * k + 1, 2 * k + 1] += push * b * b + bent
 
 
 @compiled
-def move_inside(shapes, z, step, multipliers, aim):
+def move_inside(z, step, limits, multipliers, aim):
     """Move headings and multipliers along Newton's step, as far as they stay inside all limits.
 
     Args:
-        shapes: outlines, shape (N, 12).
         z: shape (N, 2), updated.
         step: shape (2N,).
+        limits: depths and normals of the points; see :func:`set_depths`.
         multipliers: shape (N, 4), updated.
         aim: target of depths times multipliers.
 
     Returns:
         The share of the step that was taken.
     """
-    depths, normals = np.empty(LIMITS), np.empty((LIMITS, 2))
-    share, dual = 1.0, 1.0
+    (depths, normals), share, dual = limits, 1.0, 1.0
     changes = np.zeros_like(multipliers)
     for k in range(len(z)):
-        x, y, dx, dy = z[k, 0], z[k, 1], step[2 * k], step[2 * k + 1]
-        count = _depths(shapes[k], x, y, depths, normals)
-        for i in range(count):
-            if depths[i] <= 0.0:
-                break
-            toward = normals[i, 0] * dx + normals[i, 1] * dy
-            change = (aim - multipliers[k, i] * toward) / depths[i] - multipliers[k, i]
+        dx, dy = step[2 * k], step[2 * k + 1]
+        for i in range(LIMITS):
+            depth = depths[k, i]
+            if depth == 0.0:
+                continue
+            toward = normals[k, i, 0] * dx + normals[k, i, 1] * dy
+            change = (aim - multipliers[k, i] * toward) / depth - multipliers[k, i]
             changes[k, i] = change
             if change < 0.0:
                 dual = min(dual, -INSIDE * multipliers[k, i] / change)
             if i == 0:
-                a, c = 0.5 * (dx * dx + dy * dy), INSIDE * depths[0]
+                a, c = 0.5 * (dx * dx + dy * dy), INSIDE * depth
                 root = np.sqrt(toward * toward + 4.0 * a * c)
                 if root - toward > 0.0:  # root of depth + toward t - a t^2
                     share = min(share, 2.0 * c / (root - toward))
             elif toward < 0.0:
-                share = min(share, -INSIDE * depths[i] / toward)
+                share = min(share, -INSIDE * depth / toward)
     for k in range(len(z)):
         z[k, 0] += share * step[2 * k]
         z[k, 1] += share * step[2 * k + 1]
         for i in range(LIMITS):
             multipliers[k, i] += dual * changes[k, i]
     return min(share, dual)
-
-
-@compiled
-def set_multipliers(shapes, z, aim, multipliers):
-    """Set the multipliers such that their products with the depths are ``aim``."""
-    depths, normals = np.empty(LIMITS), np.empty((LIMITS, 2))
-    for k in range(len(z)):
-        count = _depths(shapes[k], z[k, 0], z[k, 1], depths, normals)
-        for i in range(LIMITS):
-            multipliers[k, i] = aim / max(TINIEST, depths[i]) if i < count else 0.0
-
-
-@compiled
-def gap_inside(shapes, z, multipliers):
-    """Return the sum of depths times multipliers, and the number of terms."""
-    depths, normals = np.empty(LIMITS), np.empty((LIMITS, 2))
-    gap, limits = 0.0, 0
-    for k in range(len(z)):
-        count = _depths(shapes[k], z[k, 0], z[k, 1], depths, normals)
-        for i in range(count):
-            if depths[i] > 0.0:
-                gap += depths[i] * multipliers[k, i]
-                limits += 1
-    return gap, limits

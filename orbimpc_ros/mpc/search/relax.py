@@ -26,10 +26,9 @@ from orbimpc_ros.mpc.search.interior import (
     LIMITS,
     LONG,
     STEPS,
-    gap_inside,
     move_inside,
+    set_depths,
     set_inside,
-    set_multipliers,
     set_system,
 )
 from orbimpc_ros.mpc.search.ring import FREE, OUTER, POINT, RIM, prox, support
@@ -301,19 +300,28 @@ def _pass_through(posed, node, limits, room):
     """Minimise through the interior of the hulls; return the outcome."""
     z, _, key, shapes = node
     cutoff, gap = limits
-    inside = set_inside(shapes, z)
-    multipliers = np.zeros((len(z), LIMITS))
+    inside = max(1, set_inside(shapes, z))
+    depths, normals = np.empty((len(z), LIMITS)), np.empty((len(z), LIMITS, 2))
+    multipliers, around = np.zeros((len(z), LIMITS)), (depths, normals)
+    set_depths(shapes, z, depths, normals)
     set_slope(posed.hessian, posed.q, z, room.slope)
     cost, least = tangent_bound(posed, shapes, z, room.slope)
-    aim, share = (cost - least) / max(1, inside), 0.0
-    set_multipliers(shapes, z, aim, multipliers)
+    left, share = cost - least, 0.0
+    for k in range(len(z)):
+        for i in range(LIMITS):
+            if depths[k, i] > 0.0:
+                multipliers[k, i] = left / inside / depths[k, i]
     for _ in range(STEPS):
-        left, inside = gap_inside(shapes, z, multipliers)
-        aim = (CENTRED if share > LONG else BLOCKED) * left / max(1, inside)
-        set_system(posed, shapes, z, room.slope, multipliers, aim, room.system, room.right)
+        left = 0.0
+        for k in range(len(z)):
+            for i in range(LIMITS):
+                left += depths[k, i] * multipliers[k, i]
+        aim = (CENTRED if share > LONG else BLOCKED) * left / inside
+        set_system(posed, z, room.slope, around, multipliers, aim, room.system, room.right)
         if not solve_spd(room.system, room.right, 2 * len(z)):
             break
-        share = move_inside(shapes, z, room.right, multipliers, aim)
+        share = move_inside(z, room.right, around, multipliers, aim)
+        set_depths(shapes, z, depths, normals)
         set_slope(posed.hessian, posed.q, z, room.slope)
         cost = _raise(posed, node, room)
         if key[0] >= cutoff:

@@ -418,14 +418,6 @@ def _begin(posed, held, known, rows, weights):
 
 
 @compiled
-def _set_theta(rows, weights, theta):
-    """Set the curvature that the weights of rows assign to each step, shape (N,)."""
-    theta[:] = 0.0
-    for i in range(len(weights)):
-        theta[rows.steps[i]] += rows.curved[i] * weights[i]
-
-
-@compiled
 def climb(posed, tree, node, near, cutoff, work):
     """Maximise the dual function by Newton's method, with shrinking barriers; interruptible.
 
@@ -454,7 +446,9 @@ def climb(posed, tree, node, near, cutoff, work):
             break
         share, tried, reached = _advance(posed, rows, weights, mu, step, reached, inverse, z, pull)
         work -= tried * (count**3 + 20.0 * count * count + 100.0) + total**3 / 6.0
-        _set_theta(rows, weights, theta)
+        theta[:] = 0.0
+        for i in range(total):
+            theta[rows.steps[i]] += rows.curved[i] * weights[i]
         prove(posed, theta, z, pull, tree, node)
         lacking = cutoff - known[KEY]
         if lacking <= 0.0:
