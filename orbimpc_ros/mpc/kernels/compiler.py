@@ -39,7 +39,8 @@ SHARED = 'kernels/*.py', 'proof/tree.py'  # sources that machine code of other f
 LOCKS = 'orbimpc_ros.lock'
 WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
 RUNTIME = 'NRT_'  # and those that create, count and free arrays
-ARITHMETIC = 'binop', 'inplace_binop', 'unary', 'arrayexpr'
+MAKING = 'call', 'binop', 'inplace_binop', 'unary', 'arrayexpr'  # arrays, not parts of others
+COMMON: dict[str, Any] = {'error_model': 'numpy', 'no_cfunc_wrapper': True}
 INDEX = ir.IntType(32)
 UNNEEDED = (  # passes of numba that change nothing in this package's functions
     *('WithLifting', 'InlineClosureLikes', 'RewriteDynamicRaises', 'MakeFunctionToJitFunction'),
@@ -52,16 +53,9 @@ BARE: dict[Callable, Callable] = {}  # by entry point
 LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
 
 
-def entry_point(function: Callable, divisions: str = 'numpy') -> Callable:
-    """Compile a function at its first call from Python, and cache the code for later processes.
-
-    Args:
-        function: to compile.
-        divisions: ``python`` if one by zero is an error, ``numpy`` if it is infinite.
-    """
-    options: dict[str, Any] = {'pipeline_class': _WholeCompiler, 'no_cfunc_wrapper': True}
-    options |= {'cache': True, 'error_model': divisions}
-    made: Any = njit(**options)(function)
+def entry_point(function: Callable, **options: Any) -> Callable:
+    """Compile a function at its first call from Python, and cache the code for later processes."""
+    made: Any = njit(cache=True, pipeline_class=_WholeCompiler, **COMMON | options)(function)
     if made is not function:  # they are the same with NUMBA_DISABLE_JIT
         made._cache = _KeptCode(function)
         folder = Path(function.__code__.co_filename).parent
@@ -84,9 +78,9 @@ def bare(function: Callable) -> Callable:
     return BARE[function]
 
 
-def compiled(function: Callable, divisions: str = 'numpy', **options: Any) -> Callable:
+def compiled(function: Callable, **options: Any) -> Callable:
     """Compile a function that only machine code calls, into which it is linked."""
-    options |= {'no_cpython_wrapper': True, 'no_cfunc_wrapper': True, 'error_model': divisions}
+    options = COMMON | {'no_cpython_wrapper': True} | options
     made: Callable = njit(pipeline_class=_PartCompiler, **options)(function)
     return made
 
@@ -166,7 +160,7 @@ class _Lowering(Lower):
         made = (
             signature.return_type
             for each, signature in known.calltypes.items()
-            if signature is not None and _creates(getattr(each, 'op', ''), signature)
+            if signature is not None and getattr(each, 'op', '') in MAKING
         )
         if not any(models[each].contains_nrt_meminfo() for each in (known.restype, *made)):
             self.context = self.context.subtarget(enable_nrt=False)
@@ -240,12 +234,6 @@ class _Lowering(Lower):
             return self.builder.extract_value(self._blk_local_varmap[name], where)
         steps = [INDEX(0), *map(INDEX, where)]
         return self.builder.load(self.builder.gep(self.getvar(name), steps, inbounds=True))
-
-
-def _creates(operation: str, signature: Any) -> bool:
-    """Return True if the result of an operation may be a new array, not a part of others."""
-    arrays = isinstance(signature.return_type, types.Array)
-    return operation == 'call' or (arrays and operation in ARITHMETIC)
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)

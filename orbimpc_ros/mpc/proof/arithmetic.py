@@ -58,7 +58,8 @@ def by_type(in_floats: Callable, in_fractions: Callable) -> Callable:
 
 def floats(function: Callable) -> Callable:
     """Return a generic function compiled for floats; the machine code is cached on disk."""
-    return entry_point(_bound_to_floats(function), 'python') if COMPILED else function
+    made = _bound_to_floats(function)
+    return entry_point(made, error_model='python') if COMPILED else function
 
 
 @cache
@@ -76,7 +77,7 @@ def _bound_to_floats(function: Callable) -> Callable:
 @cache
 def _part(function: Callable) -> Callable:
     """Return a generic function compiled for floats, once for all of its callers."""
-    return compiled(_bound_to_floats(function), 'python')
+    return compiled(_bound_to_floats(function), error_model='python')
 
 
 def _root(x):

@@ -26,15 +26,16 @@ LIMITS = 4  # limits of a set: speed, both edges, chord
 
 
 @compiled
-def set_depths(shapes, z, depths, normals):
+def set_depths(shapes, z, limits):
     """Set the depths of points inside of the limits of their sets, and the inward normals.
 
     Args:
         shapes: outlines, shape (N, 12).
         z: points, shape (N, 2).
-        depths: shape (N, 4), set; 0 where there is no limit, or the set has no interior.
-        normals: shape (N, 4, 2), set.
+        limits: set: depths, shape (N, 4), 0 where there is no limit, or the set has no interior;
+            normals, shape (N, 4, 2).
     """
+    depths, normals = limits
     for k in range(len(z)):
         shape, x, y = shapes[k], z[k, 0], z[k, 1]
         normals[k, 0, 0], normals[k, 0, 1] = -x, -y
@@ -42,12 +43,12 @@ def set_depths(shapes, z, depths, normals):
         normals[k, 2, 0], normals[k, 2, 1] = shape[UY], -shape[UX]
         normals[k, 3, 0], normals[k, 3, 1] = shape[NX], shape[NY]
         depths[k, 0] = least = 0.5 * (shape[OUTER] ** 2 - x * x - y * y)
-        limits = 1 if shape[KIND] < NARROW else LIMITS
-        for i in range(1, limits):
+        count = 1 if shape[KIND] < NARROW else LIMITS
+        for i in range(1, count):
             depth = normals[k, i, 0] * x + normals[k, i, 1] * y
             depths[k, i] = depth - shape[NB] if i == 3 else depth
             least = min(least, depths[k, i])
-        for i in range(0 if least <= 0.0 else limits, LIMITS):
+        for i in range(0 if least <= 0.0 else count, LIMITS):
             depths[k, i] = 0.0
 
 

@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.search.interior import (
     set_inside,
     set_system,
 )
-from orbimpc_ros.mpc.search.ring import FREE, OUTER, POINT, RIM, prox, support
+from orbimpc_ros.mpc.search.ring import FREE, POINT, RIM, prox, support
 
 SOLVED, PRUNED, STALLED, GOING = range(4)  # outcomes of a relaxation
 PATIENCE = 2  # rounds between checks of whether the bound still rises
@@ -232,13 +232,9 @@ def _pull_back(shapes, z, room):
     """Project a trial point back onto the hulls."""
     trial = room.trial
     for k in range(len(z)):
-        face = room.faces[k]
-        if face == POINT:
+        if room.faces[k] == POINT:
             continue
         x, y = trial[k, 0], trial[k, 1]
-        if face == RIM:
-            scale = shapes[k, OUTER] / np.sqrt(x * x + y * y)
-            x, y = x * scale, y * scale
         trial[k, 0], trial[k, 1], _, _, _ = prox(shapes[k], 1.0, 0.0, -x, -y)
 
 
@@ -249,21 +245,6 @@ def length_of(z, k):
     for c in range(z.shape[1]):
         square += z[k, c] * z[k, c]
     return np.sqrt(square)
-
-
-@compiled
-def cost_of(posed, z):
-    """Return the cost at a point of any dimension, without the constant."""
-    cost = 0.0
-    for j in range(len(z)):
-        for c in range(z.shape[1]):
-            slope = posed.q[j, c]
-            for k in range(len(z)):
-                slope += 0.5 * posed.hessian[j, k] * z[k, c]
-            cost += z[j, c] * slope
-        if posed.lengths[j] > 0.0:
-            cost += posed.lengths[j] * length_of(z, j)
-    return cost
 
 
 @compiled
@@ -285,6 +266,12 @@ def rise_of(posed, z, there):
 
 
 @compiled
+def cost_of(posed, z):
+    """Return the cost at a point of any dimension, without the constant."""
+    return rise_of(posed, np.zeros_like(z), z)
+
+
+@compiled
 def _raise(posed, node, room):
     """Raise a node's bound to that of the tangent at its point; return the cost there."""
     z, best, key, shapes = node
@@ -301,9 +288,9 @@ def _pass_through(posed, node, limits, room):
     z, _, key, shapes = node
     cutoff, gap = limits
     inside = max(1, set_inside(shapes, z))
-    depths, normals = np.empty((len(z), LIMITS)), np.empty((len(z), LIMITS, 2))
-    multipliers, around = np.zeros((len(z), LIMITS)), (depths, normals)
-    set_depths(shapes, z, depths, normals)
+    depths, multipliers = np.empty((len(z), LIMITS)), np.zeros((len(z), LIMITS))
+    around = depths, np.empty((len(z), LIMITS, 2))
+    set_depths(shapes, z, around)
     set_slope(posed.hessian, posed.q, z, room.slope)
     cost, least = tangent_bound(posed, shapes, z, room.slope)
     left, share = cost - least, 0.0
@@ -321,7 +308,7 @@ def _pass_through(posed, node, limits, room):
         if not solve_spd(room.system, room.right, 2 * len(z)):
             break
         share = move_inside(z, room.right, around, multipliers, aim)
-        set_depths(shapes, z, depths, normals)
+        set_depths(shapes, z, around)
         set_slope(posed.hessian, posed.q, z, room.slope)
         cost = _raise(posed, node, room)
         if key[0] >= cutoff:

@@ -69,7 +69,6 @@ from orbimpc_ros.mpc.solve.request import Found, Method, Request, general
 
 # In Tree.counts: node whose climb ended last; whether a descent from there is due; next start.
 FROM, DUE, BEGIN = range(3, 6)
-NARROWEST = 1e-6  # [rad], narrower sectors are not cut
 NEAR = 0.2  # share of a bound's gap: climbs that cannot gain more than this end early, except
 # at the root, whose point is needed as a start for descents
 YOUNG, EVERY = 4, 4  # descents start from each of the first nodes, then from every 4th
@@ -164,7 +163,7 @@ def _solve_node(posed, tolerance, tree, node, work):
         counts[FROM], counts[DUE] = node, 1
     k = -1
     if len(posed.left) == 2 and key < cutoff:
-        k = priced_branching(posed, tree, node, NARROWEST)
+        k = priced_branching(posed, tree, node)
     if k < 0:
         close(tree, key)
     else:

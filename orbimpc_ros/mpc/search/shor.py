@@ -40,7 +40,7 @@ from orbimpc_ros.mpc.kernels.linear import (
 )
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN
 from orbimpc_ros.mpc.search.shells import missed_by
-from orbimpc_ros.mpc.search.tree import KEY, MU, TAKEN
+from orbimpc_ros.mpc.search.tree import KEY, MU, NARROWEST, TAKEN
 
 GOING, CLIMBED, PRUNED = range(3)  # outcomes of a climb
 MODULUS, ARC, FIRST_EDGE, LAST_EDGE = range(4)  # kinds of multipliers of a step
@@ -88,15 +88,16 @@ def rows_of(floor, sector, dimension):
         sector: shape (N, 4); full turns in space.
         dimension: n.
     """
-    steps, most = len(sector), KINDS * len(sector)
+    total = count = steps = len(sector)
+    for k in range(steps):
+        total += KINDS - 1 if sector[k, HIGH] - sector[k, LOW] < np.pi else 0
     rows = Rows(
-        np.zeros(most, np.int64),
-        np.zeros(most, np.int64),
-        np.zeros(most),
-        np.zeros((most, dimension)),
-        np.zeros(most),
+        np.zeros(total, np.int64),
+        np.zeros(total, np.int64),
+        np.zeros(total),
+        np.zeros((total, dimension)),
+        np.zeros(total),
     )
-    count = steps
     for k in range(steps):
         rows.steps[k], rows.curved[k] = k, 1.0
         low, high = sector[k, LOW], sector[k, HIGH]
@@ -115,13 +116,7 @@ def rows_of(floor, sector, dimension):
                 rows.normals[count, 0] = -sign * np.sin(edge)
                 rows.normals[count, 1] = sign * np.cos(edge)
             count += 1
-    return Rows(
-        rows.steps[:count],
-        rows.kinds[:count],
-        rows.curved[:count],
-        rows.normals[:count],
-        rows.offsets[:count],
-    )
+    return rows
 
 
 @compiled
@@ -375,13 +370,12 @@ def certify(posed, z, pull, tree, cutoff):
     _stiffen(posed, stiffened, right)
     there, column, held = np.empty((count, n)), np.empty(count), np.zeros(n)
     _add_moduli(posed, z, pull, theta, right)
-    top, before = np.abs(posed.hessian).max(), 0.0
+    top = np.abs(posed.hessian).max()
     for share in SPARES:
         copy_to(matrix, stiffened)
         for k in range(count):
-            theta[k] += (share - before) * top
+            theta[k] += share * top
             matrix[k, k] += theta[k]
-        before = share
         if not extend_factor(matrix, matrix, 0, count, SINGULAR):
             continue
         bent = 0.0
@@ -467,7 +461,7 @@ def climb(posed, tree, node, near, cutoff, work):
 
 
 @compiled
-def priced_branching(posed, tree, node, narrowest):
+def priced_branching(posed, tree, node):
     """Return the step whose violation of the modulus is priced highest, or -1 for none."""
     chosen, most, floor, sector, z = -1, 0.0, posed.floor, tree.sectors[node], tree.z[node]
     for k in range(len(z)):
@@ -475,6 +469,6 @@ def priced_branching(posed, tree, node, narrowest):
         for c in range(z.shape[1]):
             square += z[k, c] * z[k, c]
         missed = abs(bent * ((1.0 if bent > 0.0 else floor * floor) - square))
-        if missed > most and sector[k, HIGH] - sector[k, LOW] > narrowest:
+        if missed > most and sector[k, HIGH] - sector[k, LOW] > NARROWEST:
             chosen, most = k, missed
     return chosen
