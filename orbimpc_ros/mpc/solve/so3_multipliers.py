@@ -235,7 +235,7 @@ class SO3Multipliers:
         steps, own = self.problem.horizon, len(self._own)
         sizes = self._work.rows[own : own + len(rows)].copy()
         point, none = self._work.lowest.copy(), np.zeros((steps, 3))
-        pull, share = none[:0], none if empty else -INWARD * self._work.pushes
+        pull, share = self._thrust.lift.T @ none, none if empty else -INWARD * self._work.pushes
         if self.problem.terminal == 'constraint' and not empty:
             # The multipliers of an arrival cancel slopes and forces.
             slopes, _ = self._condensed.affine(request.state, request.goals)
