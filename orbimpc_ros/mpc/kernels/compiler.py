@@ -150,8 +150,8 @@ class _Lowering(Lower):
     """Translation of a function, with less code for the same.
 
     References are counted only in functions that own arrays: without arrays that it creates or
-    returns, it would count each reference up and down again. Indices are not negative. Members of
-    variables are taken from where these are kept, one by one.
+    returns, it would count each reference up and down again. Members
+    of variables are taken from where these are kept, one by one.
     """
 
     def __init__(self, context: Any, library: Any, known: Any, *rest: Any, **more: Any) -> None:
@@ -222,10 +222,10 @@ class _Lowering(Lower):
         for i, axis in enumerate(axes):
             step = builder.extract_value(given, i) if at is not axis else given
             step = self.context.cast(builder, step, axis, types.intp)
-            if i > 0:
-                length = self._member(array.name, fields.index('shape'), i)
-                step = builder.add(builder.mul(place, length), step)
-            place = step
+            length = self._member(array.name, fields.index('shape'), i)
+            negative = builder.icmp_signed('<', step, step.type(0))
+            step = builder.select(negative, builder.add(step, length), step)
+            place = builder.add(builder.mul(place, length), step)
         return builder.gep(self._member(array.name, fields.index('data')), [place], inbounds=True)
 
     def _member(self, name: str, *where: int) -> Any:
