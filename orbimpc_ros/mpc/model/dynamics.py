@@ -4,10 +4,9 @@
 All but the length term is quadratic; ``solve.program`` states the whole as a cone program. The
 check evaluates the objective independently.
 
-With positions eliminated (1.3a), one N x N matrix H serves every coordinate. Unless an orbitope is
-active, the minimiser of a coordinate of R_1..R_N is a linear map of the same coordinate of given
-quantities: for R e1 of the knowns, for the other columns of R_0 and R_g; at rotation order 2 also
-of R_1.
+With positions eliminated (1.3a), one N x N matrix H serves every coordinate of R e1, another one
+the rest. Unless an orbitope is active, the minimiser of a coordinate of R_1..R_N is a linear map of
+the same coordinate of the knowns; at rotation order 2 also of R_1.
 
 Mathematics: docs/mathematics.md, 1.1 to 1.3 and 4.7.
 """
@@ -33,19 +32,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 KINK = 1e-5  # below it |R e1| counts as zero, where the length term has a kink
 LONGEST = 30  # horizon; beyond it sparse solves are faster than dense ones
 WORST_CONDITION = 1e9
-TURNED = [0, 3]  # rows of R_0 e1 and R_g e1 among the knowns
 SLIGHT = 1e-10  # share of the diagonal added to a singular Hessian
-
-
-def _inputs_of(problem: Problem, rotations: Array) -> Array:
-    """Return the inputs that produce R_0..R_N, shape (N + 1, n, n): u_0..u_{N-1}, (N, n, n).
-
-    At rotation order 2 u_{N-1} is left out: it changes only W_N, which no cost contains.
-    """
-    inputs = rotations
-    for _ in range(problem.rotation_order):
-        inputs = (inputs[1:] - inputs[:-1]) / problem.step
-    return inputs
 
 
 def translation_rollout(problem: Problem, state: State, headings: Array) -> tuple[Array, Array]:
@@ -68,7 +55,8 @@ def adrift(problem: Problem, state: State) -> Array:
 def input_map(problem: Problem) -> Array:
     """Return D with the inputs u_k = sum_j D[k, j] R_j, shape (N, N + 1), or (N - 1, N + 1).
 
-    At rotation order 2 these are the second differences u_0..u_{N-2}.
+    At rotation order 2 these are the second differences u_0..u_{N-2}: u_{N-1} changes only W_N,
+    which no cost contains.
     """
     order = problem.rotation_order
     return np.diff(np.eye(problem.horizon + 1), order, axis=0) / problem.step**order
@@ -86,21 +74,10 @@ def velocity_weight(problem: Problem) -> float:
     return problem.arrival_weight * problem.step**2 if problem.inertial else 0.0
 
 
-def input_weight(problem: Problem) -> float:
-    """Return the weight on the squared coordinates of an input."""
-    return problem.weights.input * frobenius_factor(problem.dimension)
-
-
-def attitude_weight(problem: Problem) -> float:
-    """Return the weight on the squared coordinates of R_N - R_g."""
-    return problem.weights.attitude * frobenius_factor(problem.dimension)
-
-
-def wanted_coordinates(problem: Problem, state: State) -> Array:
-    """Return the coordinates of R_g, shape (d,); zero if no rotation is desired."""
-    if state.wanted is None:
-        return np.zeros(coordinate_count(problem.dimension))
-    return coordinates(state.wanted)
+def turning_weights(problem: Problem) -> Array:
+    """Return the weights on squared coordinates of each input and of R_N - R_g, shape (2,)."""
+    w = problem.weights
+    return frobenius_factor(problem.dimension) * np.array([w.input, w.attitude])
 
 
 def length_weights(problem: Problem) -> Array:
@@ -119,15 +96,21 @@ def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Ar
 
     The terms are the quadratic one in x, the linear one, and that of lengths.
     """
-    condensed, n = Condensed(problem), problem.dimension
-    axes, rest = x[:, :n], x[:, n:]
+    condensed, known = Condensed(problem), knowns(state, goals)
+    axes = x[:, : problem.dimension]
     kinked = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), KINK)
-    others, turned = condensed.others, other_knowns(problem, state)
+    both = condensed.axes, condensed.others
     return [
-        np.hstack([condensed.hessian @ axes, others.hessian @ rest]),
-        np.hstack([condensed.axes.pulled @ knowns(state, goals), others.pulled @ turned]),
+        beside(x, *(each.hessian for each in both)),
+        beside(known, *(each.pulled for each in both)),
         on_axes(length_weights(problem)[1:, None] * axes / kinked),
     ]
+
+
+def beside(known: Array, thrust: Array, others: Array) -> Array:
+    """Return a map's values for coordinates of R e1, and another's for the rest, shape (m, d)."""
+    n = min(known.shape[1], 3)
+    return np.hstack([thrust @ known[:, :n], others @ known[:, n:]])
 
 
 def on_axes(gradient: Array) -> Array:
@@ -165,7 +148,8 @@ def flown(problem: Problem, state: State, goals: Array, turned: Array) -> Trajec
     rotations = np.concatenate([state.rotation[None], turned])
     axes = rotations[:, :, 0]
     positions, velocities = translation_rollout(problem, state, axes)
-    u = _inputs_of(problem, rotations).ravel()
+    order = problem.rotation_order
+    u = np.diff(rotations, order, axis=0).ravel() / problem.step**order
     w, missed = problem.weights, positions[1:] - goals
     every, last = missed.ravel(), missed[-1]
     cost = w.position * (every @ every) + w.input * (u @ u)
@@ -203,12 +187,12 @@ class Quadratic(NamedTuple):
 class Condensed:
     """The quadratic of one problem, in which the data of a tick enter linearly.
 
-    These data are the *knowns*, rows of shape (n,): R_0 e1, p_0, the disturbance w, R_g e1 (zero if
-    no rotation is desired), and g_1 - s_0..g_N - s_0.
+    These data are the *knowns*, rows of shape (d,): R_0, p_0, the disturbance w, R_g (zero if no
+    rotation is desired), and g_1 - s_0..g_N - s_0; vectors are as if they were thrust axes.
 
     Attributes:
-        axes: the quadratic of a coordinate of R e1, given the knowns.
-        others: that of R e2 or R e3, given the same coordinates of R_0 and R_g.
+        axes: the quadratic of a coordinate of R e1, given the same coordinate of the knowns.
+        others: that of a coordinate of R e2 or R e3.
         hessian: H of ``axes``, shape (N, N).
         arrival: a terminal constraint, s_N = g_N and with inertia p_N = 0: its rows over R_1 e1..
             R_N e1, shape (m, N), and the map from the knowns to their values, shape (m, N + 4).
@@ -219,20 +203,17 @@ class Condensed:
         maps, count = problem.maps, problem.horizon
         # Each row is an input, and then R_N - R_g.
         turned = np.vstack([input_map(problem), np.eye(count + 1)[-1:]])
-        own = np.zeros((len(turned), 2))
-        own[:, 0], own[-1, 1] = turned[:, 0], -1.0
-        turning = np.full(len(turned), input_weight(problem))
-        turning[-1] = attitude_weight(problem)
+        own = np.zeros((len(turned), count + 4))
+        own[:, 0], own[-1, 3] = turned[:, 0], -1.0
+        turning = turning_weights(problem).repeat([len(turned) - 1, 1])
         self.others = Quadratic.of(turning, turned[:, 1:], own)
         # Each row is s_k - g_k, and then p_N.
         flown = np.vstack([maps.places[1:], maps.speeds[-1:]])
         known = np.hstack([flown[:, STARTED], np.zeros((count + 1, 1)), -np.eye(count + 1, count)])
         weights = np.append(position_weights(problem), velocity_weight(problem))
         moved = Quadratic.of(weights, flown[:, 1:-2], known)
-        self.hessian: Array = moved.hessian + self.others.hessian
-        moved.pulled[:, TURNED] += self.others.pulled
-        moved.squared[np.ix_(TURNED, TURNED)] += self.others.squared
-        self.axes = moved._replace(hessian=self.hessian)
+        self.axes = Quadratic(*map(np.add, moved, self.others))
+        self.hessian = self.axes.hessian
         ends = slice(count - 1, count + problem.inertial)
         self.arrival = flown[ends, 1:-2], -known[ends]
 
@@ -241,7 +222,7 @@ class Condensed:
 
         c includes the constant length term of R_0 e1.
         """
-        known = knowns(state, goals)
+        known = knowns(state, goals)[:, : goals.shape[1]]
         c = float(np.vdot(known, self.axes.squared @ known))
         if self._problem.weights.length:
             c += first_length(self._problem, state)
@@ -249,18 +230,15 @@ class Condensed:
 
 
 def knowns(state: State, goals: Array) -> Array:
-    """Return the knowns of the quadratic, shape (N + 4, n): see :class:`Condensed`."""
-    known = np.empty((len(goals) + 4, goals.shape[1]))
-    known[0], known[1], known[2] = state.rotation[:, 0], state.velocity, state.disturbance
-    known[3] = 0.0 if state.wanted is None else state.wanted[:, 0]
-    np.subtract(goals, state.position, out=known[4:])
+    """Return the knowns of the quadratic, shape (N + 4, d): see :class:`Condensed`."""
+    n = state.dimension
+    known = np.zeros((len(goals) + 4, coordinate_count(n)))
+    known[0], known[1, :n] = coordinates(state.rotation), state.velocity
+    known[2, :n] = state.disturbance
+    if state.wanted is not None:
+        known[3] = coordinates(state.wanted)
+    known[4:, :n] = goals - state.position
     return known
-
-
-def other_knowns(problem: Problem, state: State) -> Array:
-    """Return the coordinates beyond the first n of R_0 and R_g in rows, shape (2, d - n)."""
-    both = coordinates(state.rotation), wanted_coordinates(problem, state)
-    return np.array(both)[:, problem.dimension :]
 
 
 def suits_dense_code(problem: Problem) -> bool:
@@ -286,7 +264,7 @@ def regular(hessian: Array) -> tuple[Array, Array, float]:
 
 
 class Unconstrained(NamedTuple):
-    """Maps from given quantities, m rows with R_1 last, to the minimiser of the quadratic alone.
+    """Maps from the knowns and R_1, m = N + 5 rows, to the minimiser of the quadratic alone.
 
     Attributes:
         inverse: of the Hessian over the free steps, projected to the directions that a terminal
@@ -305,12 +283,12 @@ class Unconstrained(NamedTuple):
 def minimisers(problem: Problem, condensed: Condensed) -> tuple[Unconstrained, Unconstrained]:
     """Return the maps for coordinates of R e1, and for those of R e2 and R e3.
 
-    Given are the knowns, or R_0 and R_g, and then R_1.
+    Given are the knowns, and then R_1.
     """
     (rows, values), given = condensed.arrival, problem.rotation_order - 1
     met = len(rows) if problem.terminal == 'constraint' else 0
     thrust = _unbounded(given, condensed.axes, rows[:met], values[:met])
-    return thrust, _unbounded(given, condensed.others, rows[:0], np.zeros((0, 2)))
+    return thrust, _unbounded(given, condensed.others, rows[:0], values[:0])
 
 
 def _unbounded(known: int, quadratic: Quadratic, rows: Array, values: Array) -> Unconstrained:
@@ -318,9 +296,9 @@ def _unbounded(known: int, quadratic: Quadratic, rows: Array, values: Array) -> 
 
     Args:
         known: number of the first rotations that are given: R_1 is at rotation order 2.
-        quadratic: the cost, given m - 1 quantities.
+        quadratic: the cost, given the knowns.
         rows: of a terminal constraint over x_1..x_N.
-        values: map from the given quantities except R_1 to their values.
+        values: map from the knowns to their values.
     """
     hessian, c = quadratic.hessian, np.pad(quadratic.squared, (0, 1))
     q, values = (np.pad(each, ((0, 0), (0, 1))) for each in (quadratic.pulled, values))

@@ -29,14 +29,13 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinate_count, coordinates, lmi_parts
 from orbimpc_ros.mpc.model.dynamics import (
     adrift,
-    attitude_weight,
     first_length,
     input_map,
-    input_weight,
+    knowns,
     length_weights,
     position_weights,
+    turning_weights,
     velocity_weight,
-    wanted_coordinates,
 )
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
@@ -207,11 +206,12 @@ class Program:
         diagonal, linear = np.zeros(self.count), np.zeros(self.count)
         diagonal[self._y[:, 0]] = 2.0 * position_weights(problem)[:, None]
         diagonal[self._y[-1, 1:]] = 2.0 * velocity_weight(problem)
-        diagonal[self._x[-1]] = 2.0 * attitude_weight(problem)
+        bent, steadying = 2.0 * turning_weights(problem)
+        diagonal[self._x[-1]] = steadying
         if len(self.t):
             linear[self.t] = self._lengths
         differences = sparse.csc_matrix(input_map(problem))
-        turning = 2.0 * input_weight(problem) * (differences.T @ differences)
+        turning = bent * (differences.T @ differences)
         rest = sparse.csc_matrix((self.count - self._x.size,) * 2)
         inputs = sparse.block_diag([sparse.kron(turning, sparse.eye(self._width)), rest])
         return sparse.csc_matrix(sparse.triu(inputs + sparse.diags(diagonal))), linear
@@ -228,7 +228,7 @@ class Program:
         """Set the data of the next solves from state and goals."""
         problem, state, goals = self.problem, request.state, request.goals
         weights, stopping = position_weights(problem), velocity_weight(problem)
-        steadying, wanted = attitude_weight(problem), wanted_coordinates(problem, state)
+        steadying, wanted = turning_weights(problem)[1], knowns(state, goals)[3]
         seen = goals - adrift(problem, state)
         hastened = problem.maps.speeds[-1, -1] * state.disturbance
         constant = float(np.sum(weights[:, None] * seen * seen)) + first_length(problem, state)

@@ -31,11 +31,11 @@ from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
 from orbimpc_ros.mpc.model.dynamics import (
     Condensed,
+    beside,
     first_length,
     knowns,
     length_weights,
     minimisers,
-    other_knowns,
     suits_dense_code,
 )
 from orbimpc_ros.mpc.problem import Problem, State
@@ -133,42 +133,41 @@ class SO3Multipliers:
         """Compute the data that depend only on state and goals."""
         problem, state, thrust, others = self.problem, request.state, self._thrust, self._others
         self._request, self._least, self._fraction = request, first_length(problem, state), 1.0
-        axes, rest = np.zeros((problem.horizon + 5, 3)), np.zeros((3, 6))
-        axes[:-1], rest[:-1] = knowns(state, request.goals), other_knowns(problem, state)
+        known = np.pad(knowns(state, request.goals), ((0, 1), (0, 0)))
         if self._coasting:
             assert state.coasted is not None
             self._first = coordinates(state.coasted)
-            self._choose_fraction(axes, rest)
+            self._choose_fraction(known)
         elif self._decided:
             self._first = coordinates(state.rotation + problem.step * state.rotation_rate)
         if self._decided:
-            axes[-1], rest[-1] = self._fraction * self._first[:3], self._fraction * self._first[3:]
+            known[-1] = self._fraction * self._first
             fast = self._fraction * math.sqrt(self._first[:3] @ self._first[:3])
             self._least += float(self._speeds[0]) * fast
-        self._start = np.hstack([thrust.minimiser @ axes, others.minimiser @ rest])
-        self._least += _quadratic(thrust.least, axes) + _quadratic(others.least, rest)
-        self._rounding = ROUNDING * _quadratic(self._condensed.axes.squared, axes[:-1])
+        self._start = beside(known, thrust.minimiser, others.minimiser)
+        self._least += float(np.vdot(known, beside(known, thrust.least, others.least)))
+        axes, squared = known[:-1, :3], self._condensed.axes.squared
+        self._rounding = ROUNDING * float(np.vdot(axes, squared @ axes))
         bent = self._condensed.hessian @ self._start[:, :3]
         self._scale = max(1.0, float(np.abs(bent).max()) / USUAL)
 
-    def _choose_fraction(self, axes: Array, rest: Array) -> None:
+    def _choose_fraction(self, known: Array) -> None:
         """Choose R_1 = rho * coasted with the rho that is optimal without the orbitopes.
 
         The minimiser over all other variables is affine in rho, and its cost a parabola.
 
         Args:
-            axes: the knowns and a zero, shape (N + 5, 3).
-            rest: the other columns of R_0 and R_g and a zero, shape (3, 6).
+            known: the knowns and a zero, shape (N + 5, 9).
         """
         thrust, others, first = self._thrust, self._others, self._first
-        slope = 2.0 * float(first[:3] @ (thrust.least[-1] @ axes)) + float(self._speeds[0])
-        slope += 2.0 * float(first[3:] @ (others.least[-1] @ rest))
+        steepest = beside(known, thrust.least[-1:], others.least[-1:])[0]
+        slope = 2.0 * float(first @ steepest) + float(self._speeds[0])
         # The coasted rotation has columns of length one.
         curvature = 2.0 * (thrust.least[-1, -1] + 2.0 * others.least[-1, -1])
         curvature = max(curvature, FLATTEST)
         self._fraction = -slope / curvature
-        ways = thrust.minimiser[:, -1:] * first[:3], others.minimiser[:, -1:] * first[3:]
-        self._slide[:] = np.hstack(ways) / np.sqrt(curvature)
+        ways = beside(first[None], thrust.minimiser[:, -1:], others.minimiser[:, -1:])
+        self._slide[:] = ways / np.sqrt(curvature)
         one = np.eye(self.problem.horizon)[0]
         self._own = Row(0, one, first[:3], 0.0), Row(0, one, -first[:3], -1.0)
 
@@ -259,10 +258,6 @@ class SO3Multipliers:
 def _within(x: Array) -> Array:
     """Return rotation coordinates, shape (N, 9), scaled down into their orbitopes."""
     return x / (1.0 + np.maximum(0.0, -margin(matrix(x))))[:, None]
-
-
-def _quadratic(form: Array, known: Array) -> float:
-    return float(np.vdot(known, form @ known))
 
 
 def _rest(coasting: bool) -> State:
