@@ -21,7 +21,7 @@ import numpy as np
 
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import slope
-from orbimpc_ros.mpc.arrays import Array, ByContent, Sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import Plan
@@ -113,7 +113,7 @@ def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
 
 
 @dataclass(frozen=True, eq=False)
-class AgentTrajectory(Sealed):
+class AgentTrajectory(ByContent):
     """A plan of another vehicle."""
 
     time: float  # when it was made [s]

@@ -116,37 +116,22 @@ def _all_thrust_aligned(matrices: Array, sizes: Array) -> Array:
     With the first axis a = R e1 / |R e1|, thrust |R e1| has the same effect as the relaxed R; the
     second axis, along c2 - (a.c2) a + c3 x a, gives the roll that fits R best (2.4b).
     """
-    headings, second, third = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
-    axes = headings / sizes
-    around = _wide(axes)
+    second, third, axes = matrices[:, :, 1], matrices[:, :, 2], matrices[:, :, 0] / sizes
     rolled = second - np.einsum('kc,kc->k', axes, second)[:, None] * axes
-    rolled += _cross(_wide(third), around)
+    rolled += np.cross(third, axes)
     spans = _lengths(rolled)
     weak = spans[:, 0] < ROLL_UNDEFINED
     if weak.any():  # all rolls fit equally: take one across the coordinate axis farthest from a
         other = np.eye(3)[np.argmin(np.abs(axes[weak]), axis=1)]
-        rolled[weak] = _cross(around[weak], _wide(other))
+        rolled[weak] = np.cross(axes[weak], other)
         spans = _lengths(rolled)
     rolled /= spans
-    rotations = np.empty_like(matrices)
-    rotations[:, :, 0], rotations[:, :, 1] = axes, rolled
-    rotations[:, :, 2] = _cross(around, _wide(rolled))
-    return rotations
+    return np.stack([axes, rolled, np.cross(axes, rolled)], axis=2)
 
 
 def _lengths(rows: Array) -> Array:
     """Return the lengths of rows, shape (K, 1)."""
     return np.sqrt(np.einsum('kc,kc->k', rows, rows))[:, None]
-
-
-def _wide(rows: Array) -> Array:
-    """Return rows x, y, z as x, y, z, x, y, whose slices are cyclic neighbours."""
-    return rows[:, (0, 1, 2, 0, 1)]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products, shape (K, 3), of rows extended by :func:`_wide`."""
-    return a[:, 1:4] * b[:, 2:5] - a[:, 2:5] * b[:, 1:4]
 
 
 def project_all(matrices: Array, first: Array, how: str) -> Array:
