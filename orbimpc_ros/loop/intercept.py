@@ -499,7 +499,7 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
         reached, flown = followed(reached, wanted, problem.step, lag)
         covered.append(flown)
     way = problem.forward * (np.array(covered) @ _means(plan.projected))
-    return np.asarray(adrift(problem, state)[-1] + way - plan.positions[-1])
+    return np.asarray(adrift(problem, state) + way - plan.positions[-1])
 
 
 def _means(attitudes: Array) -> Array:

@@ -45,11 +45,8 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
 
 def adrift(problem: Problem, state: State) -> Array:
-    """Return s_0 moved by the disturbance alone, at s_1..s_N, shape (N, n).
-
-    They are the origins of displacements, whose dynamics contain no disturbance.
-    """
-    return state.position + np.outer(problem.maps.places[1:, -1], state.disturbance)
+    """Return s_N if there were a disturbance only, no velocity and no thrust, shape (n,) [m]."""
+    return state.position + problem.maps.places[-1, -1] * state.disturbance
 
 
 def input_map(problem: Problem) -> Array:
@@ -224,9 +221,7 @@ class Condensed:
         """
         known = knowns(state, goals)[:, : goals.shape[1]]
         c = float(np.vdot(known, self.axes.squared @ known))
-        if self._problem.weights.length:
-            c += first_length(self._problem, state)
-        return self.axes.pulled @ known, c
+        return self.axes.pulled @ known, c + first_length(self._problem, state)
 
 
 def knowns(state: State, goals: Array) -> Array:

@@ -2,11 +2,10 @@
 """The general convex program, with R_k in conv SO(n), solved by Clarabel for states and goals.
 
 Rows are A x + s = b with s in a cone. The variables are the rotation coordinates x_0..x_N; the
-displacements v_k = s_k - d_k, where d_k is s_0 moved by the disturbance alone, with for an inertial
-vehicle the velocities p_k without the effect of the disturbance; and, if lengths, tilt or
-``max_acceleration`` need them, t_1..t_N with t_k >= |R_k e1|. The state then enters only b, except
-for a coasted rotation and the axes of cones, whose rows come last; the goals enter the linear cost:
-q_k |s_k - g_k|^2 = q_k |v_k|^2 + pull_k . v_k + const, pull_k = -2 q_k (g_k - d_k).
+displacements v_k = s_k - s_0, with for an inertial vehicle the velocities p_k; and, if lengths,
+tilt or ``max_acceleration`` need them, t_1..t_N with t_k >= |R_k e1|. The state then enters only b,
+except for a coasted rotation and the axes of cones, whose rows come last; the goals enter the
+linear cost: q_k |s_k - g_k|^2 = q_k |v_k|^2 + pull_k . v_k + const, pull_k = -2 q_k (g_k - s_0).
 
 In space, without weights on inputs and attitude, cost and constraints depend on the thrust axes
 only: these replace the rotations, and balls replace the orbitopes.
@@ -28,7 +27,6 @@ from scipy import sparse
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinate_count, coordinates, lmi_parts
 from orbimpc_ros.mpc.model.dynamics import (
-    adrift,
     first_length,
     input_map,
     knowns,
@@ -227,18 +225,15 @@ class Program:
     def _bind(self, request: Request) -> None:
         """Set the data of the next solves from state and goals."""
         problem, state, goals = self.problem, request.state, request.goals
-        weights, stopping = position_weights(problem), velocity_weight(problem)
+        weights, seen = position_weights(problem), goals - state.position
         steadying, wanted = turning_weights(problem)[1], knowns(state, goals)[3]
-        seen = goals - adrift(problem, state)
-        hastened = problem.maps.speeds[-1, -1] * state.disturbance
         constant = float(np.sum(weights[:, None] * seen * seen)) + first_length(problem, state)
-        constant += stopping * float(hastened @ hastened) + steadying * float(wanted @ wanted)
+        constant += steadying * float(wanted @ wanted)
         pull, q = -2.0 * weights[:, None] * seen, self._stated.linear.copy()
         q[self._y[:, 0]] += pull
-        q[self._y[-1, 1:]] += 2.0 * stopping * hastened
         if steadying > 0.0:  # otherwise the columns may be those of thrust axes only
             q[self._x[-1]] -= 2.0 * steadying * wanted
-        moved = self._stated._replace(linear=q, offsets=self._offsets(request, seen, hastened))
+        moved = self._stated._replace(linear=q, offsets=self._offsets(request, seen))
         self._program = moved.extended(*self._aimed(state))
         self._request, self._constant = request, constant
         # The whole cost is scaled down for distant goals: otherwise a goal 1e4 horizons away makes
@@ -247,22 +242,18 @@ class Program:
         usual = FAR * (1.0 + 2.0 * float(weights.max()) * reach)
         self._scale = max(1.0, float(np.abs(pull).max()) / usual)
 
-    def _offsets(self, request: Request, seen: Array, hastened: Array) -> Array:
-        """Return b for state and goals.
-
-        Args:
-            request: state and goals.
-            seen: g_1 - d_1..g_N - d_N, shape (N, n).
-            hastened: the effect of the disturbance on p_N, shape (n,).
-        """
+    def _offsets(self, request: Request, seen: Array) -> Array:
+        """Return b for state and goals, of which g_1 - s_0..g_N - s_0 are seen, shape (N, n)."""
         problem, state, rows = self.problem, request.state, self._rows
-        b, last = self._stated.offsets.copy(), self._y[-1]
+        b, moved = self._stated.offsets.copy(), np.empty(self._y.shape)
         b[rows['start']] = coordinates(state.rotation)[: self._width]
+        once = step_of(problem.translation, problem.step, problem.forward)
+        moved[:] = np.outer(once.blow, state.disturbance)
         if problem.inertial:
-            kept = step_of(problem.translation, problem.step, problem.forward).transition[:, 1]
-            b[rows['moved']][: last.size] = np.outer(kept, state.velocity).ravel()
+            moved[0] += np.outer(once.transition[:, 1], state.velocity)
+        b[rows['moved']] = moved.ravel()
         if problem.terminal == 'constraint':
-            b[rows['arrival']] = [*seen[-1], *-hastened][: last.size]
+            b[rows['arrival']][: problem.dimension] = seen[-1]
         if problem.has_cones:
             eased = relief(problem, state, request.goals)
             if problem.tilt:

@@ -44,7 +44,7 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     shares = dict.fromkeys((max(present, least), least, 1.0))
     for each in [share * ahead for share in shares] if first is None else [first]:
         yield coordinates(np.tile(each, (problem.horizon, 1, 1)))
-    towards = goals[-1] - adrift(problem, state)[-1]
+    towards = goals[-1] - adrift(problem, state)
     distance = float(np.linalg.norm(towards))
     if distance > 0.0:
         yield _along(begun, escapes(problem, state, towards[None] / distance)[0, 1:])
@@ -71,7 +71,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
     least = min(1.0, float(problem.floor.least(ahead[:, 0])))
     arrives = problem.terminal == 'constraint'
     speeds = dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0))
-    towards = goals[-1] - adrift(problem, state)[-1]
+    towards = goals[-1] - adrift(problem, state)
     most = WITHIN * problem.widest_turn * problem.horizon
     turns = list(dict.fromkeys(np.clip(TURNS, -most, most).tolist()))
     for turn in turns[not arrives :]:  # `straight` already goes straight on
