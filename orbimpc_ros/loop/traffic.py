@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
-from orbimpc_ros.mpc.problem.reach import farthest
+from orbimpc_ros.mpc.problem.reach import depths, farthest
 
 LATEST = 3  # sightings used to fit a velocity
 MOST = 1000  # largest number of bodies
@@ -190,7 +190,7 @@ def nearest(
     times = problem.step * np.arange(math.ceil(horizons * problem.horizon) + 1)
     speed = float(np.linalg.norm(odometry.body_velocity))
     blown = float(np.linalg.norm(disturbance))
-    reached = np.array([farthest(problem, speed, blown, time) for time in times[1:]])
+    reached = farthest(problem, speed, blown, times[1:])
     met = []
     for hazard in hazards:
         apart = -hazard.depth(odometry.position[None], times)
@@ -207,10 +207,8 @@ def clearance(problem: Problem, state: State, positions: Array) -> float:
 
     It is infinite without any; for a box, it is the largest distance beyond one of its faces.
     """
-    times = problem.step * np.arange(len(positions))
-    moving = [-each.depth(positions, times).max() for each in state.hazards]
-    still = [-each.depth(positions).max() for each in problem.obstacles]
-    return float(min([*moving, *still], default=math.inf))
+    deepest = (each.max() for each in depths(problem, state, positions, 0).values())
+    return -float(max(deepest, default=-math.inf))
 
 
 def with_clearance(state: State, reserves: Array) -> State:

@@ -57,14 +57,12 @@ class Plan(Trajectory, ByContent):
     """A trajectory over N steps with its certificate. All arrays are read-only.
 
     Attributes:
-        x: rotation coordinates of R_0..R_N, shape (N + 1, d).
         projected: R_0..R_N projected to rotations, shape (N + 1, n, n); for R_k e1 = 0, whose
             heading is undefined, the previous one.
         projection: ``nearest`` or ``thrust_aligned``: how ``projected`` was made.
         proof: its lower bound and how it was found.
     """
 
-    x: Array
     projected: Array
     projection: str
     proof: Proof
@@ -73,6 +71,11 @@ class Plan(Trajectory, ByContent):
     def horizon(self) -> int:
         """Return N."""
         return len(self.rotations) - 1
+
+    @cached_property
+    def x(self) -> Array:
+        """Return the rotation coordinates of R_0..R_N, shape (N + 1, d)."""
+        return sealed(coordinates(self.rotations))
 
     @cached_property
     def lower_bound(self) -> float:
@@ -124,13 +127,13 @@ def assemble(
 
     Everything else follows from the dynamics, so that the plan is consistent by construction.
     """
-    rotations, x = matrix(x), np.concatenate([coordinates(state.rotation)[None], x])
+    rotations = matrix(x)
     given = [state.attitude]
     if problem.rotation_order == 2 and state.coasted is not None:
         given.append(state.coasted)  # the body turns there whatever the thrust
     turned = project_all(rotations[len(given) - 1 :], given[-1], projection)
     made, projected = flown(problem, state, goals, rotations), np.concatenate([given, turned])
-    return Plan(**vars(made), x=x, projected=projected, projection=projection, proof=proof)
+    return Plan(**vars(made), projected=projected, projection=projection, proof=proof)
 
 
 def interpolated(at: Array, knots: Array, values: Array) -> Array:

@@ -138,7 +138,8 @@ def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
         for j in range(i, count):
             both = np.outer(kernel[:, i], kernel[:, j])
             gradient = linear.T @ (0.5 * (both + both.T)).ravel()
-            yield Slack('hull', k, _at(plan, k, gradient), float(i == j), signed=count > 1)
+            alone = np.outer(np.eye(plan.horizon)[k - 1], gradient)
+            yield Slack('hull', k, alone, float(i == j), signed=count > 1)
 
 
 def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
@@ -177,14 +178,7 @@ def _thrust(coasted: Array, plan: Plan) -> Iterator[Slack]:
     """Yield the fraction rho >= 0 in R_1 = rho * (the rotation that the body rate leads to)."""
     if plan.speed_fraction[1] < ACTIVE:
         way = coordinates(coasted)
-        yield Slack('thrust', 1, _at(plan, 1, way / (way @ way)))
-
-
-def _at(plan: Plan, k: int, gradient: Array) -> Array:
-    """Return a gradient in R_k, given its first entries, as one in R_1..R_N."""
-    full = np.zeros_like(plan.x[1:])
-    full[k - 1, : len(gradient)] = gradient
-    return full
+        yield Slack('thrust', 1, np.outer(np.eye(plan.horizon)[0], way / (way @ way)))
 
 
 @dataclass(frozen=True)
@@ -268,7 +262,8 @@ def _movable(problem: Problem, state: State, plan: Plan, gradients: Array) -> Ar
     The kink of the length term at R_k e1 = 0 holds R_k e1 in place. At rotation order 2 the state
     decides R_1, except for the thrust along a coasting body.
     """
-    moved, kinks = gradients.copy(), _kinks(problem, plan)
+    moved = gradients.copy()
+    kinks = (plan.speed_fraction[1:] < KINK) & (length_weights(problem)[1:] > 0.0)
     moved[..., kinks, : problem.dimension] = 0.0
     if problem.rotation_order == 2:
         moved[..., 0, :] = 0.0
@@ -277,8 +272,3 @@ def _movable(problem: Problem, state: State, plan: Plan, gradients: Array) -> Ar
             along = gradients[..., 0, :] @ way / (way @ way)
             moved[..., 0, :] = along[..., None] * way
     return moved
-
-
-def _kinks(problem: Problem, plan: Plan) -> np.ndarray:
-    """Return True for those of R_1..R_N at which the length term has no gradient, shape (N,)."""
-    return (plan.speed_fraction[1:] < KINK) & (length_weights(problem)[1:] > 0.0)

@@ -190,22 +190,3 @@ def reserves(hazards: Sequence[MovingObstacle], horizon: int, step: float) -> Ar
     kept: Array = np.outer([each.reserve for each in hazards], shares)
     kept += np.outer([each.unsure for each in hazards], strayed)
     return kept
-
-
-def tracked(hazards: tuple[MovingObstacle, ...], dimension: int) -> tuple[MovingObstacle, ...]:
-    """Return the hazards after checking them for plans of a dimension.
-
-    Raises:
-        BadInput: more than ``MAX_HAZARDS``, or one of another dimension or kind.
-    """
-    if not isinstance(hazards, tuple):
-        raise BadInput('state.hazards', f'a {type(hazards).__name__}', 'a tuple')
-    if len(hazards) > MAX_HAZARDS:
-        raise BadInput('state.hazards', len(hazards), f'at most {MAX_HAZARDS}')
-    for each in hazards:
-        if not isinstance(each, MovingObstacle):
-            raise BadInput('state.hazards', f'a {type(each).__name__}', 'a MovingObstacle')
-        if each.dimension != dimension:
-            allowed = f'bodies of dimension {dimension}'
-            raise BadInput('state.hazards', each.dimension, allowed)
-    return hazards

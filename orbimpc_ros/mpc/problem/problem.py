@@ -30,7 +30,7 @@ from orbimpc_ros.mpc.model.translation import (
     maps_of,
 )
 from orbimpc_ros.mpc.problem.floor import Floor
-from orbimpc_ros.mpc.problem.obstacle import Ball, Box, MovingObstacle, tracked
+from orbimpc_ros.mpc.problem.obstacle import MAX_HAZARDS, Ball, Box, MovingObstacle
 
 TERMINALS = ('penalty', 'constraint')
 SCALINGS = ('paper', 'time')
@@ -453,8 +453,12 @@ class State(ByContent):
             raise BadInput('state.rotation', made['rotation'].tolist(), allowed)
         if commanded is not None:
             number(commanded, 'state.commanded', 0.0, 1.0)
-        bodies = tracked(hazards, n) if hazards else ()
-        return cls(commanded=commanded, hazards=bodies, **made)
+        for each in _instance(hazards, tuple, 'state.hazards'):
+            if _instance(each, MovingObstacle, 'state.hazards').dimension != n:
+                raise BadInput('state.hazards', each.dimension, f'bodies of dimension {n}')
+        if len(hazards) > MAX_HAZARDS:
+            raise BadInput('state.hazards', len(hazards), f'at most {MAX_HAZARDS}')
+        return cls(commanded=commanded, hazards=hazards, **made)
 
     @property
     def dimension(self) -> int:

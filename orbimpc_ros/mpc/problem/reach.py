@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, sealed
-from orbimpc_ros.mpc.model.translation import STARTED
+from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.obstacle import reserves
 
@@ -29,9 +29,8 @@ T = TypeVar('T', float, Array)
 
 def decided(problem: Problem, state: State) -> tuple[Array, Array]:
     """Return s_0..s_N and p_0..p_N for R_1 e1 = .. = R_N e1 = 0: what the state alone decides."""
-    maps, given = problem.maps, np.zeros((problem.horizon + 3, problem.dimension))
-    given[STARTED] = state.rotation[:, 0], state.velocity, state.disturbance
-    return maps.places @ given + state.position, maps.speeds @ given
+    ahead = np.outer(np.eye(problem.horizon + 1)[0], state.rotation[:, 0])
+    return translation_rollout(problem, state, ahead)
 
 
 def reach(problem: Problem, state: State) -> float:
@@ -85,13 +84,13 @@ def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str
 
 def held_goal(problem: Problem, state: State, goals: Array) -> str:
     """Return a message naming the bodies around the goal at every step; empty if there are none."""
-    held = [name for name, deep in _depths(problem, state, goals).items() if (deep > 0.0).all()]
+    held = [name for name, deep in depths(problem, state, goals).items() if (deep > 0.0).all()]
     return f'the goal is inside of {" and ".join(held)}' if held else ''
 
 
-def _depths(problem: Problem, state: State, places: Array) -> dict[str, Array]:
-    """Return how deep places at the ends of steps, (N, n), are inside of each body, (N,) [m]."""
-    times = problem.step * np.arange(1, len(places) + 1)
+def depths(problem: Problem, state: State, places: Array, first: int = 1) -> dict[str, Array]:
+    """Return how deep s_first.., shape (K, n), are inside of each body, shape (K,) [m]."""
+    times = problem.step * np.arange(first, first + len(places))
     still = {f'obstacle {i}': body.depth(places) for i, body in enumerate(problem.obstacles)}
     moving = {f'hazard {i}': each.depth(places, times) for i, each in enumerate(state.hazards)}
     return still | moving
@@ -161,7 +160,7 @@ def beyond_turning(problem: Problem, state: State) -> float:
 def _boxed_in(problem: Problem, state: State) -> Iterator[str]:
     """Yield messages about bodies that contain s_k for all headings."""
     free = problem.maps.reach[:, 1:].sum(axis=1)
-    for name, deep in _depths(problem, state, decided(problem, state)[0][1:]).items():
+    for name, deep in depths(problem, state, decided(problem, state)[0][1:]).items():
         held = np.flatnonzero(deep > free)
         if not held.size:
             continue
