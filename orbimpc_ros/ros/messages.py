@@ -54,7 +54,7 @@ from orbimpc_ros.loop.goal.motion import GoalObservation, GoalTrajectory, Route
 from orbimpc_ros.loop.traffic import AgentTrajectory, ObservedBody
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.geometry.rotations import from_quaternion, heading, to_quaternion
+from orbimpc_ros.mpc.geometry.rotations import from_quaternion, to_quaternion
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Ball, Box, MovingObstacle, Problem
 
@@ -168,8 +168,7 @@ def read_odometry(
     unit = _quaternion(pose.orientation, 'pose.orientation')
     attitude = _attitude(unit, dimension, frames)
     if attitude is None:
-        given = 'a body x axis that is not vertical'
-        raise BadInput('pose.orientation', unit.tolist(), given)
+        raise BadInput('pose.orientation', unit.tolist(), 'a body x axis that is not vertical')
     velocity = velocity[:dimension] if in_body else velocity[:dimension] @ attitude
     odometry = Odometry(at.nanoseconds / SECOND, place, attitude, velocity, rate)
     return Stamp(at.nanoseconds, Frames(at.frames.world, child, frames.thrust_axis)), odometry
@@ -289,9 +288,10 @@ def _quaternion(message: Quaternion, culprit: str) -> Array:
 
 def _attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
     """Return the attitude of a quaternion; None in the plane if the x axis has no yaw."""
-    if dimension == 2:  # there the thrust axis is x
-        return None if math.hypot(*heading(unit)) < STEEPEST else from_quaternion(unit, 2)
-    return frames.turned(from_quaternion(unit, 3))
+    attitude = from_quaternion(unit, 3)
+    if dimension == 3:
+        return frames.turned(attitude)
+    return None if math.hypot(*attitude[:2, 0]) < STEEPEST else from_quaternion(unit, 2)
 
 
 class PoseTwistSynchronizer:

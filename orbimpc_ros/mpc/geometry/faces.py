@@ -65,16 +65,10 @@ def cap(tilt: float) -> Array:
 @lru_cache(maxsize=1)
 def icosahedron() -> Array:
     """Return the corners of the icosahedron's faces, shape (20, 3, 3)."""
-    vertices = normals(3, 12)  # the dodecahedron's normals are the icosahedron's vertices
-    # Faces are found by adjacency: ``normals(3, 20)`` belong to an icosahedron in another attitude.
-    adjacent = vertices @ vertices.T > 0.0
-    triples = itertools.combinations(range(len(vertices)), 3)
-    faces = [
-        vertices[[i, j, k]]
-        for i, j, k in triples
-        if adjacent[i, j] and adjacent[j, k] and adjacent[i, k]
-    ]
-    return sealed(np.array(faces))
+    # The dodecahedron's normals are the icosahedron's vertices: three meet in a corner of the one,
+    # and span a face of the other. ``normals(3, 20)`` are of an icosahedron in another attitude.
+    vertices = normals(3, 12)
+    return sealed(vertices[_meeting(vertices, np.ones(len(vertices)))[0]])
 
 
 # --- outlines, as lines to draw
@@ -93,7 +87,9 @@ def edges(outward: Array, distances: Array) -> Lines:
     The distances of the faces are from the origin, shape (m,).
     """
     dimension = outward.shape[1]
-    corners = _corners(outward, distances)
+    points = _meeting(outward, distances)[1]
+    _, first = np.unique(points.round(6), axis=0, return_index=True)
+    corners = points[first]
     on = np.abs(corners @ outward.T - distances) < CLOSE
     padded = np.pad(corners, ((0, 0), (0, 3 - dimension)))
     return tuple(
@@ -103,13 +99,12 @@ def edges(outward: Array, distances: Array) -> Lines:
     )
 
 
-def _corners(outward: Array, distances: Array) -> Array:
-    """Return the vertices: points where n faces meet, inside of all others, once each, (K, n)."""
+def _meeting(outward: Array, distances: Array) -> tuple[np.ndarray, Array]:
+    """Return which n faces meet inside of all others, shape (K, n), and where, shape (K, n)."""
     count, dimension = outward.shape
     chosen = np.array(list(itertools.combinations(range(count), dimension)), dtype=int)
     chosen = chosen.reshape(-1, dimension)
     chosen = chosen[np.abs(np.linalg.det(outward[chosen])) > CLOSE]
     points = np.linalg.solve(outward[chosen], distances[chosen][:, :, None])[:, :, 0]
-    points = points[(points @ outward.T <= distances + CLOSE).all(axis=1)]
-    _, first = np.unique(points.round(6), axis=0, return_index=True)
-    return points[first]
+    inside = (points @ outward.T <= distances + CLOSE).all(axis=1)
+    return chosen[inside], points[inside]

@@ -220,22 +220,15 @@ def from_quaternion(quaternion: Array, dimension: int) -> Array:
 
     The yaw is the heading of the body's x axis seen from above, as in REP-103.
     """
-    if dimension == 2:
-        return _from_heading_2(np.array(heading(quaternion)))
     w, x, y, z = quaternion.tolist()
-    return np.array(
+    whole = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def heading(quaternion: Array) -> tuple[float, float]:
-    """Return the horizontal part of the body's x axis, for a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion.tolist()
-    return 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    return whole if dimension == 3 else _from_heading_2(whole[:2, 0])
 
 
 def _from_heading_2(axis: Array) -> Array:

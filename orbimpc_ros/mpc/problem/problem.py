@@ -255,11 +255,6 @@ class Problem:
         return max(SLOWEST, self.least_speed)
 
     @cached_property
-    def floor_normals(self) -> Array | None:
-        """Return the unit normals of the floor's half-spaces, shape (m, n); None if it is round."""
-        return self.floor.normals(self.dimension)
-
-    @cached_property
     def has_cones(self) -> bool:
         """Return True if there is a tilt limit or a glide slope."""
         return self.tilt > 0.0 or self.glide_slope > 0.0
