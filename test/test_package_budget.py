@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_994,
-    'orbimpc_ros/mpc': 14_968,
-    'orbimpc_ros/loop': 3_288,
+    'orbimpc_ros': 28_870,
+    'orbimpc_ros/mpc': 14_846,
+    'orbimpc_ros/loop': 3_286,
     'orbimpc_ros/ros': 4_164,
     'orbimpc_ros/sim': 2_388,
     'orbimpc_ros/tool': 4_059,
