@@ -30,14 +30,16 @@ class Session(Observer):
 
     Attributes:
         folder: for parameters and logs until the session ends.
+        environment: of its processes.
         processes: of the nodes.
     """
 
     def __init__(self, nodes: str, executor: str = 'wait_set') -> None:
         place = ExitStack()
         self.folder = Path(place.enter_context(tempfile.TemporaryDirectory()))
-        place.enter_context(mock.patch.dict(os.environ))  # restores variables that name the folder
-        super().__init__(isolate(self.folder), executor)
+        with mock.patch.dict(os.environ):
+            super().__init__(isolate(self.folder), executor)
+            self.environment = dict(os.environ)
         self.processes = Processes()
         for context in (place, self.processes):
             self._stack.push(context)
@@ -48,7 +50,8 @@ class Session(Observer):
         name = f'{module.rpartition(".")[2]}-{len(self.processes) + 1}'
         file = self.folder / f'{name}.yaml'
         file.write_text(settings.text({**values, 'executor': self._nodes}))
-        return self.processes.start(module, file, file.with_suffix('.log'), namespace)
+        with mock.patch.dict(os.environ, self.environment):
+            return self.processes.start(module, file, file.with_suffix('.log'), namespace)
 
     def until(self, done: Callable[[], Any], what: str = '') -> None:
         """Spin until ``done``.

@@ -59,9 +59,10 @@ def fill(rows: Sequence[FaultCase], long: bool, executor: str) -> None:
         long: whether to try each at several moments.
         executor: of the nodes.
     """
+    from benchmarks.faults.harness import Bench
     from orbimpc_ros.mpc.kernels.__main__ import PARTS
 
-    progress = ProgressLine(len(rows))
+    progress, bench = ProgressLine(len(rows)), Bench(executor)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # which ends child processes
     try:
         for part in PARTS:  # a planner does not answer while it compiles
@@ -69,7 +70,7 @@ def fill(rows: Sequence[FaultCase], long: bool, executor: str) -> None:
         for number, row in enumerate(rows):
             begin = time.monotonic()
             try:
-                for outcome in row.cases(executor, long):
+                for outcome in row.cases(bench, long):
                     row.outcomes.append(outcome)
                     row.seconds = time.monotonic() - begin
                     progress.show(number, f'{row.title}: {len(row.outcomes)} cases')
@@ -77,4 +78,5 @@ def fill(rows: Sequence[FaultCase], long: bool, executor: str) -> None:
                 row.outcomes.append(Outcome('then', failure=str(error)))
         progress.close()
     finally:
+        bench.close()
         print(table([row for row in rows if row.outcomes]))

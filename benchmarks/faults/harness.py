@@ -7,7 +7,7 @@ import math
 import random
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any
 
@@ -51,9 +51,11 @@ class Monitored(Session):
         module: of the planner.
 
     Attributes:
+        draw: generator of all random draws.
         planner: process of the planner that was started last.
     """
 
+    draw = random.Random(0)
     planner: Child
 
     def __init__(
@@ -84,11 +86,9 @@ class Harness(Monitored):
         nodes: their executor.
         parameters: of the planner, in addition to those of all harnesses.
         simulated: whether to publish the planner's clock as well.
-        seed: of all random draws.
         module: of the planner.
 
     Attributes:
-        draw: generator of all random draws.
         jump: error of a simulated clock [s].
     """
 
@@ -98,13 +98,12 @@ class Harness(Monitored):
         parameters: Mapping[str, Any] | None = None,
         *,
         simulated: bool = False,
-        seed: int = 0,
         module: str = session.PLANNER,
     ) -> None:
         values = PLANNER | dict(parameters or {}) | {'use_sim_time': simulated}
         super().__init__(nodes, values, module)
         self._simulated = simulated
-        self.draw, self._spoiled = random.Random(seed), dict[str, stimulus.Spoiler]()
+        self._spoiled = dict[str, stimulus.Spoiler]()
         self.jump, self._frozen_at = 0.0, math.nan
         self._begun = time.monotonic()
         self._odometry: Any = self.node.create_publisher(Odometry, 'odom', qos(KEPT))
@@ -175,3 +174,26 @@ class Harness(Monitored):
         refused = [result.reason for result in results if not result.successful]
         if refused:
             raise OrbimpcError(f'refused: {refused}')
+
+
+class Bench(ExitStack):
+    """Lends a healthy planner to one row after the other, and ends all when it is closed.
+
+    Args:
+        nodes: their executor.
+    """
+
+    def __init__(self, nodes: str) -> None:
+        super().__init__()
+        self.nodes, self._kept = nodes, dict[tuple[bool, bool], Harness]()
+
+    @contextmanager
+    def lent(self, slow: Mapping[str, Any], simulated: bool = False) -> Iterator[Harness]:
+        """Lend a harness, slow or not; one on which an error was raised is lent no more."""
+        harness = self._kept.pop((bool(slow), simulated), None)
+        harness = harness or Harness(self.nodes, slow, simulated=simulated)
+        self.callback(harness.close)
+        for heard in (harness.monitor.commands, harness.monitor.ticks, harness.monitor.health):
+            heard.clear()
+        yield harness
+        self._kept[bool(slow), simulated] = harness

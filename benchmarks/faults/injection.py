@@ -7,18 +7,18 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks.faults.harness import STEP, Harness
+from benchmarks.faults.harness import STEP, Bench, Harness
 from benchmarks.faults.matrix import Outcome
 from benchmarks.faults.monitor import Event, Monitor, complaint
 
 START, MIDWAY, SOLVING = 'start', 'mid-run', 'during a solve'
 RUNNING = (MIDWAY, SOLVING)
 TIMES = (START, *RUNNING)
-SEEDS = (1, 2, 3)
+REPEATS = 3  # of each case in the long form
 AFTER = 3  # ticks by which a fault outlasts the latest reaction
 INTO = 0.03  # [s] from the start of a solve to an injection
 # A search that lasts until its deadline, with a plan at hand: nearly constant speed, limited turns,
@@ -50,8 +50,8 @@ class Fault:
 
 def injecting(
     *faults: Fault, short: Sequence[str] = (MIDWAY,), simulated: bool = False
-) -> Callable[[str, bool], Iterator[Outcome]]:
-    """Return the cases of a row: faults that are injected into a planner running for this row.
+) -> Callable[[Bench, bool], Iterator[Outcome]]:
+    """Return the cases of a row: faults that are injected into a running planner.
 
     Args:
         faults: to inject.
@@ -59,16 +59,14 @@ def injecting(
         simulated: whether the harness publishes the planner's clock as well.
     """
 
-    def run(nodes: str, long: bool) -> Iterator[Outcome]:
+    def run(bench: Bench, long: bool) -> Iterator[Outcome]:
         every = [(fault, when) for fault in faults for when in fault.times]
-        pairs = every if long else [*zip(itertools.cycle(faults), short)]
-        for seed in SEEDS if long else SEEDS[:1]:
-            for solving in (False, True):
-                some = [pair for pair in pairs if (pair[1] == SOLVING) == solving]
-                slow = SLOW if solving else {}
-                if some:
-                    with closing(Harness(nodes, slow, simulated=simulated, seed=seed)) as harness:
-                        yield from (injected(harness, *pair) for pair in some)
+        pairs = REPEATS * every if long else [*zip(itertools.cycle(faults), short)]
+        for slow in ({}, SLOW):
+            some = [pair for pair in pairs if (pair[1] == SOLVING) == bool(slow)]
+            if some:
+                with bench.lent(slow, simulated) as harness:
+                    yield from (injected(harness, *pair) for pair in some)
 
     return run
 

@@ -136,8 +136,8 @@ FAULT_CASES = (
     FaultCase('infeasible', 'no plan: shifted plan, then safe', 1.0, injecting(
         Fault('walled in', _walled, wait=LADDER, event=_reported, times=RUNNING))),
     FaultCase('qos', 'a quality of service that does not match: reported', REPORT, injecting(
-        Fault('latched cmd_vel', _mismatched, strict=False, event=complaint(level=ERROR),
-              times=(MIDWAY,)))),
+        Fault('latched cmd_vel', _mismatched, strict=False, times=(MIDWAY,),
+              event=complaint('does not match', ERROR)))),
     FaultCase('sources', 'two publishers of odometry', 1.0, injecting(
         Fault('another', _doubled, wait=MEET, times=RUNNING))),
 )  # fmt: skip

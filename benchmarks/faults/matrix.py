@@ -30,8 +30,8 @@ class FaultCase:
     name: str  # for ``--only``
     title: str  # description
     allowed: float  # latest reaction, in ``unit``
-    # yields the outcomes, given the executor of the nodes and whether every case is to be tried
-    cases: Callable[[str, bool], Iterator[Outcome]]
+    # yields the outcomes, given a bench of harnesses and whether every case is to be tried
+    cases: Callable[[Any, bool], Iterator[Outcome]]
     unit: str = 'ticks'  # of reactions
     outcomes: list[Outcome] = field(default_factory=list)
     seconds: float = 0.0  # so far

@@ -5,22 +5,22 @@ from __future__ import annotations
 
 import itertools
 import math
-import random
+import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Bool
 
-from benchmarks.faults.harness import RATE, STEP, Harness, Monitored
-from benchmarks.faults.injection import MIDWAY, SEEDS, SLOW, until_due
+from benchmarks.faults.harness import RATE, STEP, Bench, Harness, Monitored
+from benchmarks.faults.injection import MIDWAY, REPEATS, SLOW, until_due
 from benchmarks.faults.inputs import STALE
 from benchmarks.faults.matrix import FaultCase, Outcome
 from benchmarks.faults.monitor import STILL, complaint
@@ -38,15 +38,16 @@ FAREWELLS = 3  # safe commands before the exit
 LATCH = 0.2  # [s] command_timeout
 FLOOD, SETTLED, LATE = 5000.0, 1.0, 5.0  # [Hz], [s] to be discovered, [ms] beyond a period
 SOAK, SOAK_STEP, MEBIBYTE, GROWTH = 1000.0, 0.05, 2.0**20, 2.0  # [Hz], [s], [bytes], [MiB]
+FLIGHT = 32.0  # [s]: ten times as long as the usual one
 SLOWEST = 0.75  # ticks: half a step for a solve, and a quarter for a busy machine
 
 
 # --- deadlines
 
 
-def _no_time(nodes: str, long: bool) -> Iterator[Outcome]:
+def _no_time(bench: Bench, long: bool) -> Iterator[Outcome]:
     """Searches that cannot end before the deadline: every tick has a command nevertheless."""
-    with closing(Harness(nodes, SLOW)) as harness:
+    with bench.lent(SLOW) as harness:
         for deadline in (0.001, 0.02, 0.05, 0.1) if long else (0.001, 0.1):
             harness.set_live(deadline=0.0)
             harness.until_planned()
@@ -55,6 +56,7 @@ def _no_time(nodes: str, long: bool) -> Iterator[Outcome]:
             harness.spin(10 * STEP)
             unsafe = harness.monitor.broken(begin)
             yield Outcome(f'deadline {deadline:g} s', unsafe, _slowest(harness, begin))
+        harness.set_live(deadline=0.0)
 
 
 def _slowest(harness: Harness, since: float) -> float:
@@ -76,7 +78,8 @@ def flooded(harness: Harness, rate: float) -> Iterator[None]:
     words = [sys.executable, '-m', 'benchmarks.faults.stimulus', str(rate)]
     log = harness.folder / 'flood.log'
     with harness.muted():
-        child = Child('the flood', words, log)
+        with mock.patch.dict(os.environ, harness.environment):
+            child = Child('the flood', words, log)
         try:
             harness.until(lambda: harness.node.count_publishers('odom') > 0, 'the flood')
             harness.spin(SETTLED)
@@ -85,9 +88,9 @@ def flooded(harness: Harness, rate: float) -> Iterator[None]:
             child.stop(signal.SIGTERM)
 
 
-def _flood(nodes: str, long: bool) -> Iterator[Outcome]:
+def _flood(bench: Bench, long: bool) -> Iterator[Outcome]:
     """Odometry that arrives faster than it can be read: planning goes on, and ticks are in time."""
-    with closing(Harness(nodes)) as harness:
+    with bench.lent({}) as harness:
         harness.until_planned()
         with flooded(harness, FLOOD):
             begin = time.monotonic()
@@ -99,9 +102,9 @@ def _flood(nodes: str, long: bool) -> Iterator[Outcome]:
         yield Outcome('5 kHz', harness.monitor.broken(begin), max(0.0, float(late)))
 
 
-def _soak(nodes: str, long: bool) -> Iterator[Outcome]:
+def _soak(bench: Bench, long: bool) -> Iterator[Outcome]:
     """A planner at 20 Hz with odometry at 1 kHz for a long time: its memory does not grow."""
-    with closing(Harness(nodes, {'step': SOAK_STEP})) as harness:
+    with closing(Harness(bench.nodes, {'step': SOAK_STEP})) as harness:
         harness.until_planned()
         with flooded(harness, SOAK):
             begin = time.monotonic()
@@ -116,11 +119,11 @@ def _soak(nodes: str, long: bool) -> Iterator[Outcome]:
 # --- ends of the planner
 
 
-def _exceptions(nodes: str, long: bool) -> Iterator[Outcome]:
+def _exceptions(bench: Bench, long: bool) -> Iterator[Outcome]:
     """A controller with exceptions: the planner survives one, and must exit after five in a row."""
     slipping = 'odometry', with_field('twist.twist.linear.y', SLIP)
-    for seed in SEEDS if long else SEEDS[:1]:
-        with closing(Harness(nodes, seed=seed, module=ALTERED)) as harness:
+    for _ in range(REPEATS if long else 1):
+        with closing(Harness(bench.nodes, module=ALTERED)) as harness:
             until_due(harness, MIDWAY)
             begin = time.monotonic()
             with harness.spoiling(*slipping):
@@ -142,16 +145,15 @@ def _exceptions(nodes: str, long: bool) -> Iterator[Outcome]:
 def _signalled(number: int) -> Any:
     """Return the cases of a signal: three safe commands must follow, and exit code 0."""
 
-    def run(nodes: str, long: bool) -> Iterator[Outcome]:
-        draw = random.Random(number)
+    def run(bench: Bench, long: bool) -> Iterator[Outcome]:
         for count in range(50 if long else 1):
             slow = SLOW if (count + number) % 2 else None
-            with closing(Harness(nodes, slow, seed=count)) as harness:
+            with closing(Harness(bench.nodes, slow)) as harness:
                 if count % 10 != 9:  # every tenth receives it at the start
                     harness.until_planned()
                 else:  # but not before the first command, since then there is nothing to end
                     harness.until(harness.monitor.commands.copy, 'a command')
-                harness.spin(draw.uniform(0.0, STEP))
+                harness.spin(harness.draw.uniform(0.0, STEP))
                 yield _ended(harness, number, f'{signal.Signals(number).name} {count + 1}')
 
     return run
@@ -179,21 +181,13 @@ def _ended(harness: Harness, number: int, case: str) -> Outcome:
 
 
 class Flying(Monitored):
-    """The paper's retrieval in real time, accelerated by a factor: planner and simulator.
+    """The paper's retrieval in real time, five times as fast: planner and simulator."""
 
-    Args:
-        nodes: their executor.
-        step: between ticks [s], by which speed, swing and turning cost are scaled.
-        seed: of random moments.
-    """
-
-    def __init__(self, nodes: str, *, step: float, seed: int) -> None:
-        self.draw = random.Random(seed)
-        self.usual = 16 * step  # [s] until the capture
+    def __init__(self, nodes: str) -> None:
         changes = [
-            'clock=wall', f'step={step}', f'forward={1.0 / step}', f'rope.frequency={0.1 / step}',
+            'clock=wall', 'step=0.2', 'forward=5.0', 'rope.frequency=0.5', 'weights.input=0.002',
             'max_ticks=400', 'odom_timeout=0.0', 'goal_timeout=0.0', 'goal_prediction=harmonic',
-            'start.position=[-10.0, 0.0, 0.0]', f'weights.input={0.05 * step**2}',
+            'start.position=[-10.0, 0.0, 0.0]',
         ]  # fmt: skip
         values = settings.resolve(config('retrieval.yaml'), changes) | {'use_sim_time': False}
         super().__init__(nodes, values)
@@ -213,7 +207,7 @@ class Flying(Monitored):
 
     def until_over(self) -> str:
         """Listen until the flight has ended, or is long overdue; return the failure, or ''."""
-        self.spin(10 * self.usual, lambda: bool(self._captured))
+        self.spin(FLIGHT, lambda: bool(self._captured))
         return '' if self._captured and self._captured[-1].data else 'not caught'
 
     def stands(self) -> bool:
@@ -228,46 +222,24 @@ def _place(message: Odometry) -> Point:
     return message.pose.pose.position
 
 
-def _silenced(flying: Flying, number: int, case: str) -> Outcome:
-    """Silence a planner in flight by a signal; return the time until the vehicle is stopped."""
-    flying.until_moving()
-    flying.spin(flying.draw.uniform(0.5, 1.5))
-    begin = time.monotonic()
-    flying.planner.send_signal(number)
-    reported = flying.until_first(complaint('stopped'), begin) - begin
-    failure = '' if flying.stands() else 'the vehicle moves on'
-    return Outcome(case, flying.monitor.broken(), reported, failure)
+def _silenced(number: int, revive: Callable[[Flying], None]) -> Any:
+    """Return the cases of a signal that silences a planner in flight until it is revived."""
 
+    def run(bench: Bench, long: bool) -> Iterator[Outcome]:
+        for count in range(20 if long else 1):
+            with closing(Flying(bench.nodes)) as flying:
+                flying.until_moving()
+                flying.spin(flying.draw.uniform(0.5, 1.5))
+                begin = time.monotonic()
+                flying.planner.send_signal(number)
+                reported = flying.until_first(complaint('stopped'), begin) - begin
+                failure = '' if flying.stands() else 'the vehicle moves on'
+                revive(flying)
+                failure = flying.until_over() or failure
+                case = f'{signal.Signals(number).name} {count + 1}'
+                yield Outcome(case, flying.monitor.broken(), reported, failure)
 
-def _killed(nodes: str, long: bool) -> Iterator[Outcome]:
-    """The planner is killed in flight: the vehicle stops."""
-    for number in range(20 if long else 1):
-        with closing(Flying(nodes, step=1.0 if number % 2 else 0.2, seed=number)) as flying:
-            yield _silenced(flying, signal.SIGKILL, f'killed {number + 1}')
-
-
-def _hung(nodes: str, long: bool) -> Iterator[Outcome]:
-    """The planner hangs for a while, or its link is cut: the vehicle stops, and then flies on."""
-    for number in range(6 if long else 1):
-        with closing(Flying(nodes, step=0.2, seed=number)) as flying:
-            outcome = _silenced(flying, signal.SIGSTOP, f'hung {number + 1}')
-            flying.planner.send_signal(signal.SIGCONT)
-            lost, unsafe = flying.until_over(), flying.monitor.broken()
-            yield replace(outcome, unsafe=unsafe, failure=outcome.failure or lost)
-
-
-def _restarted(nodes: str, long: bool) -> Iterator[Outcome]:
-    """The planner is killed at a random moment of the retrieval, and started again."""
-    for number in range(20 if long else 1):
-        with closing(Flying(nodes, step=0.2, seed=number)) as flying:
-            flying.until_moving()
-            flying.spin(flying.draw.uniform(0.0, flying.usual))
-            flying.planner.send_signal(signal.SIGKILL)
-            flying.planner.wait(LEAVE)
-            flying.spin(flying.draw.uniform(0.0, 0.5))
-            flying.start()
-            failure = flying.until_over()
-            yield Outcome(f'restarted {number + 1}', flying.monitor.broken(), failure=failure)
+    return run
 
 
 FAULT_CASES = (
@@ -280,7 +252,9 @@ FAULT_CASES = (
               's'),
     FaultCase('sigterm', 'SIGTERM: three safe commands, exit 0', LEAVE, _signalled(signal.SIGTERM),
               's'),
-    FaultCase('sigkill', 'planner killed: the vehicle is stopped', LATCH, _killed, 's'),
-    FaultCase('hung', 'planner hangs for a while: stopped, then flies on', LATCH, _hung, 's'),
-    FaultCase('restart', 'planner killed and restarted: the rope is caught', 0.0, _restarted),
+    FaultCase('sigkill', 'planner killed: stopped; restarted: the rope is caught', LATCH,
+              _silenced(signal.SIGKILL, Flying.start), 's'),
+    FaultCase('hung', 'planner hangs for a while: stopped, then flies on', LATCH,
+              _silenced(signal.SIGSTOP, lambda each: each.planner.send_signal(signal.SIGCONT)),
+              's'),
 )  # fmt: skip
