@@ -7,6 +7,7 @@ Shared by tests, the fault matrix and the benchmarks of live planners.
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import os
 import signal
@@ -46,6 +47,17 @@ def python(script: str, *words: object, **given: Any) -> subprocess.CompletedPro
 def orbimpc(*words: object, text: str = '') -> subprocess.CompletedProcess:
     """Run a command of the tool as a user does, with input ``text``."""
     return run(*TOOL, *words, text=text)
+
+
+def ran_here(*words: object) -> subprocess.CompletedProcess:
+    """Run a command of the tool in this process, which spares the imports of another."""
+    from orbimpc_ros.tool import cli
+
+    out, err, given = io.StringIO(), io.StringIO(), [str(word) for word in words]
+    outputs = contextlib.redirect_stdout(out), contextlib.redirect_stderr(err)
+    with mock.patch.dict(os.environ), outputs[0], outputs[1]:
+        code = cli.main(given)
+    return subprocess.CompletedProcess(given, code, out.getvalue(), err.getvalue())
 
 
 def new_domain() -> int:

@@ -110,9 +110,11 @@ def test_a_multirotor_whose_rates_are_clipped_comes_to_rest_far_away(boxes):
 
 
 @needs_machine_code
-@pytest.mark.parametrize('seed', [7, 8])
-def test_a_multirotor_arrives_among_boxes_in_any_gusts(seed):
-    values = settings.resolve(settings.config('multirotor.yaml'), [f'seed={seed}'])
+@pytest.mark.parametrize(
+    ('name', 'seed'), [('multirotor', 7), ('multirotor', 8), ('retrieval3d', 0)]
+)
+def test_a_scenario_in_space_does_its_job_in_any_gusts_and_touches_no_box(name, seed):
+    values = settings.resolve(settings.config(f'{name}.yaml'), [f'seed={seed}'])
     planner = OfflinePlanner(planner_settings(values))
     *_, (flight, _) = closed_loop(planner, sim_settings(settings.of_sim(values)))
     assert (flight.captured, flight.touched) == (True, frozenset())

@@ -23,6 +23,7 @@ from orbimpc_ros.ros.messages import SECOND, header
 from orbimpc_ros.ros.process import qos
 from orbimpc_ros.ros.topics import topics_of
 from orbimpc_ros.tool.demo import Recorder
+from orbimpc_ros.tool.processes import interruptions
 
 STARTER = """
     import os, sys, time
@@ -81,6 +82,13 @@ def test_a_node_obeys_whatever_was_ignored_when_it_was_started(started, number):
     os.kill(pid, number)
     wait_for(lambda: not alive(pid))
     assert f'received {number.name}, stopping' in log.read_text()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_run_is_told_of_a_signal_and_not_interrupted(number):
+    with interruptions() as received:
+        os.kill(os.getpid(), number)
+    assert received == [number]
 
 
 def test_a_domain_belongs_to_who_claims_it_first_until_that_process_ends(domain):
