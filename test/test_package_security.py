@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import pytest
 from geometry_msgs.msg import TwistStamped
 from harness import ROOT, run, wait_for
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.topics import topics_of
@@ -51,7 +52,7 @@ def full(name, profile):
 
 @pytest.fixture(scope='module')
 def endpoints(shared, tmp_path_factory):
-    """Return the endpoints of three real nodes, by node and kind.
+    """Return the endpoints of three real nodes, by node and kind, and the simulator.
 
     The spacecraft's planner has every topic; a forecast, traffic and a vehicle in continuous
     time add the remaining ones of the simulator.
@@ -60,7 +61,7 @@ def endpoints(shared, tmp_path_factory):
     launch('planner', {'publish_certificate': True}, 'spacecraft')
     sim = {'wait_subscribers': 9, 'goal_path_steps': 3, 'vehicle': 'continuous'}
     sim['traffic'] = [9.0, 9.0, 9.0, 0.0, 0.0, 0.0, 1.0]
-    launch('sim', sim, 'spacecraft')
+    simulator = launch('sim', sim, 'spacecraft')
     with mock.patch.dict(os.environ, ROS_DOMAIN_ID=str(observer.domain)):
         bag = tmp_path_factory.mktemp('recorder') / 'bag'
         recorder = Recorder(bag, topics_of(), {}, ['planner'])
@@ -81,10 +82,11 @@ def endpoints(shared, tmp_path_factory):
 
     try:
         observer.until(complete, 'three nodes')
-        yield {
+        found = {
             node: {kind: names(node, kind) for kind in KINDS.values()}
             for node in ('planner', 'sim', 'recorder')
         }
+        yield found, simulator
     finally:
         recorder.close()
 
@@ -94,7 +96,24 @@ def test_a_node_is_granted_exactly_what_it_uses(policy, endpoints, node):
     allowed = granted(policy, node)
     if node == 'sim' and find_spec('tf2_msgs') is None:
         allowed['publisher'].discard('/tf')  # published only where tf2_msgs is installed
-    assert endpoints[node] == allowed
+    assert endpoints[0][node] == allowed
+
+
+def test_qos_is_as_documented(shared, endpoints):
+    node = shared[1].node
+    outputs = ('cmd_vel', 'rotation', 'plan', 'plan_markers', 'tick', 'odom', 'goal', 'captured')
+    for topic in outputs:
+        profile = node.get_publishers_info_by_topic(topic)[0].qos_profile
+        assert profile.reliability == ReliabilityPolicy.RELIABLE
+        kept = (
+            DurabilityPolicy.TRANSIENT_LOCAL if topic == 'captured' else DurabilityPolicy.VOLATILE
+        )
+        assert profile.durability == kept
+    for topic in ('odom', 'goal', 'goal_path'):
+        found = node.get_subscriptions_info_by_topic(topic)
+        (heard,) = (each for each in found if each.node_name == 'planner')
+        assert heard.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        assert heard.qos_profile.durability == DurabilityPolicy.VOLATILE
 
 
 # --- without security in the middleware
@@ -138,13 +157,11 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
     assert observer.node.count_publishers('cmd_vel') == 0
 
 
-@pytest.mark.parametrize(
-    ('place', 'peers', 'warnings'),
-    [('SUBNET', '10.0.0.7', 2), ('LOCALHOST', '', 0)],
-)
-def test_a_node_warns_where_other_machines_may_join(launch, monkeypatch, place, peers, warnings):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', place)
-    monkeypatch.setenv('ROS_STATIC_PEERS', peers)
+def test_a_node_warns_where_other_machines_may_join(launch, monkeypatch, endpoints):
+    _, at_home = endpoints
+    assert 'open to' not in at_home.output
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
+    monkeypatch.setenv('ROS_STATIC_PEERS', '10.0.0.7')
     node = launch('sim')  # which starts more quickly
     wait_for(lambda: 'waits for' in node.output)
-    assert node.output.count('open to') == warnings
+    assert node.output.count('open to') == 2

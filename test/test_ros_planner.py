@@ -12,7 +12,6 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from harness import python
 from nav_msgs.msg import Odometry, Path
 from planners import FRAMES, QUICK, Bench, goal, moving, odometry, told
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, UInt8MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
@@ -61,8 +60,13 @@ def test_a_reader_that_came_too_late_hears_the_report_when_the_answer_is_repeate
     assert told(ticks[0])['status'] == 'optimal'
 
 
-def test_after_a_reset_it_flies_to_the_same_goal_and_disabled_it_is_safe(launch, observer):
-    bench = Bench(launch, observer, QUICK)
+@pytest.fixture(scope='module')
+def bench(shared):
+    """Return a planner that tests share, each with later stamps."""
+    return Bench(*shared, QUICK)
+
+
+def test_after_a_reset_it_flies_to_the_same_goal_and_disabled_it_is_safe(bench):
     assert moving(bench.fly(100.0))
     flown = len(bench.commands)
     kept = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
@@ -144,26 +148,6 @@ def test_odometry_sent_again_is_answered_though_its_goal_came_late(launch, obser
     assert not bench.commands
     bench.until(lambda: sent(bench.odometry, odometry(1.0)) or bench.commands, 'a command')
     assert moving(bench.commands[0])
-
-
-def test_qos_is_as_documented(launch, observer):
-    launch('planner', {}, 'retrieval')
-    launch('sim', {'wait_subscribers': 9}, 'retrieval')
-    node = observer.node
-    outputs = ('cmd_vel', 'rotation', 'plan', 'plan_markers', 'tick', 'odom', 'goal', 'captured')
-    observer.until(lambda: all(node.count_publishers(t) for t in outputs), 'publishers')
-    observer.until(lambda: node.count_subscribers('goal_path'), 'subscribers')
-    for topic in outputs:
-        profile = node.get_publishers_info_by_topic(topic)[0].qos_profile
-        assert profile.reliability == ReliabilityPolicy.RELIABLE
-        kept = (
-            DurabilityPolicy.TRANSIENT_LOCAL if topic == 'captured' else DurabilityPolicy.VOLATILE
-        )
-        assert profile.durability == kept
-    for topic in ('odom', 'goal', 'goal_path'):
-        for info in node.get_subscriptions_info_by_topic(topic):
-            assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-            assert info.qos_profile.durability == DurabilityPolicy.VOLATILE
 
 
 # --- among obstacles and other vehicles
@@ -252,11 +236,11 @@ def test_simulated_time_that_never_starts_is_said(launch, observer, trigger):
     bench.until(started, 'the end of it')
 
 
-def test_numbers_come_on_topics_of_their_own(launch, observer):
+def test_numbers_come_on_topics_of_their_own(bench):
+    observer = bench.observer
     heard = {name: observer.listen(Float64, f'/planner/{name}') for name in NUMBERS}
-    bench = Bench(launch, observer, QUICK)
     observer.until_connected(*(f'/planner/{name}' for name in NUMBERS))
-    stamps = itertools.count(10)
+    stamps = itertools.count(1010)
     bench.until(lambda: bench.fly(0.1 * next(stamps)) and all(heard.values()), 'numbers')
     assert heard['distance'][-1].data == pytest.approx(5.0)
     cost = heard['objective'][-1].data
