@@ -72,16 +72,12 @@ class Stepped(Planner):
         return decision
 
 
-def stale_odometry(inputs, *clock):
-    """Return a message with the age of the odometry if it is stale; else an empty string."""
-    age = inputs.snapshot(*clock).odometry_age
-    return f'odometry is {age:.2f} s old' if age > inputs.settings.odom_timeout else ''
-
-
-def stale_goal(inputs, *clock):
-    """Return a message with the age of the goal if it is stale; else an empty string."""
-    age = inputs.snapshot(*clock).goal_age
-    return f'the goal is {age:.2f} s old' if age > inputs.settings.goal_timeout else ''
+def stale(inputs, name, *clock):
+    """Return how old the ``odometry`` or the ``goal`` is, as it is told, if it is too old."""
+    snapshot, limits = inputs.snapshot(*clock), inputs.settings
+    age = snapshot.odometry_age if name == 'odometry' else snapshot.goal_age
+    timeout = limits.odom_timeout if name == 'odometry' else limits.goal_timeout
+    return f'{age:.2f} s old' if age > timeout else ''
 
 
 def targets(inputs, times, *clock):

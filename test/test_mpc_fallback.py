@@ -2,6 +2,7 @@
 """A controller: closed loops, arrivals, and fallbacks without a plan or a goal."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -26,13 +27,6 @@ from orbimpc_ros.mpc.solve.stand_ins import in_time, turning
 from orbimpc_ros.sim.vehicle import measured
 
 
-def failing(monkeypatch, error):
-    def fail(*_args, **_kwargs):
-        raise error
-
-    monkeypatch.setattr(Solver, 'solve', fail)
-
-
 @pytest.mark.parametrize(
     ('error', 'status'), [(Infeasible('walled in'), 'infeasible'), (SolverFailure('no'), 'failed')]
 )
@@ -45,7 +39,7 @@ def test_without_a_plan_the_one_before_serves_twice_and_never_past_its_horizon(
 ):
     controller, goals = Stepped(Problem(horizon=horizon)), np.tile([9.0, 0.0], (horizon, 1))
     first = controller.tick(odometry(), goals)
-    failing(monkeypatch, error)
+    monkeypatch.setattr(Solver, 'solve', Mock(side_effect=error))
     ahead = [odometry((k * period, 0.0), time=k * period) for k in (1, 2, 3, 4)]
     ticks = [controller.tick(seen, goals) for seen in ahead]
     assert {(tick.status, tick.reason) for tick in ticks} == {(status, str(error))}

@@ -138,7 +138,6 @@ def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
 
 
 BAD_STARTS = [
-    ('sim', {'step': '.nan'}, 'step is nan; allowed: a number in [0.001, 1000]'),
     ('planner', {'horizn': 5}, "unknown parameter 'horizn'; did you mean 'horizon' or "),
     ('sim', {'rope.center': 'here'}, 'rope.center is here; allowed: a list of numbers'),
     ('planner', {'use_sim_time': 1}, "'1' of type 'INTEGER', expecting type 'BOOL'"),

@@ -210,6 +210,9 @@ def test_orders_are_of_a_twist_alone_or_with_the_force_of_its_stamp(axis):
     order = orders.take('cmd_vel', message, NOW)
     assert order.fraction == pytest.approx(0.5)
     np.testing.assert_allclose(order.body_rate, rate, atol=1e-15)
+    for speed, turn in ((0.0, 0.0), (2.0, math.pi), (-1e-4, -math.pi)):  # up to the limits
+        again = messages.twist_message(first, speed, turn * np.eye(3)[1])
+        assert orders.take('cmd_vel', again, NOW).fraction == pytest.approx(speed / 2.0)
     with pytest.raises(BadInput, match=rf'twist\.linear\.{axis}'):
         orders.take('cmd_vel', messages.twist_message(first, 2.1, rate), NOW)
     own = {'dimension': 3, 'translation_order': 2, 'forward': 2.0, 'mass': 3.0}
@@ -222,14 +225,6 @@ def test_orders_are_of_a_twist_alone_or_with_the_force_of_its_stamp(axis):
     assert order.stamp == NOW + 1
     assert order.fraction == pytest.approx(0.5)
     np.testing.assert_allclose(order.body_rate, rate, atol=1e-15)
-
-
-def test_a_twist_alone_is_an_order_at_translation_order_1():
-    orders = Orders(STEPPED)
-    for speed, rate in ((0.0, 0.0), (2.0, 2 * math.pi), (-1e-4, -2 * math.pi)):
-        assert orders.take('cmd_vel', twist(speed, rate), NOW).fraction == pytest.approx(
-            speed / 2.0
-        )
 
 
 def force(newtons, stamp=NOW):

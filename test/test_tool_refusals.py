@@ -75,10 +75,6 @@ CASES = [
 ]
 
 
-def no_workers(*_given):
-    raise AssertionError('nothing was to be flown')
-
-
 def without(package):
     return Mock(side_effect=ModuleNotFoundError(name=package))
 
@@ -100,7 +96,7 @@ def test_what_is_not_installed_is_named(line, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(('line', 'culprit'), CASES)
 def test_bad_input_is_one_line_and_writes_nothing(line, culprit, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(study, 'workers', no_workers)
+    monkeypatch.setattr(study, 'workers', Mock(side_effect=AssertionError('nothing is flown')))
     (tmp_path / 'thesis.tex').write_text('precious')
     try:
         code = cli.main(shlex.split(line))

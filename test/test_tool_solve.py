@@ -5,6 +5,7 @@ import copy
 import json
 import subprocess
 import sys
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -193,10 +194,7 @@ def test_on_a_terminal_a_plan_is_a_table(solve, monkeypatch, name):
 
 
 def test_an_interruption_at_any_time_is_one_line(capsys, monkeypatch):
-    def interrupt(words):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(cli, '_parser', interrupt)
+    monkeypatch.setattr(cli, '_parser', Mock(side_effect=KeyboardInterrupt))
     assert cli.main(['solve', '-']) == cli.INTERRUPTED
     assert capsys.readouterr().err == 'orbimpc: interrupted\n'
 

@@ -4,6 +4,7 @@
 import json
 import re
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -100,9 +101,7 @@ def test_a_huge_file_is_refused_before_it_is_taken_apart(tool, tmp_path, monkeyp
 
 
 def test_a_plan_without_a_certificate_is_printed_and_says_so(tool, tmp_path, monkeypatch):
-    def unproved(*_):
-        raise Unproved('no certificate: one tangent proves 3')
-
+    unproved = Mock(side_effect=Unproved('no certificate: one tangent proves 3'))
     monkeypatch.setattr('orbimpc_ros.mpc.proof.document.certificate_of', unproved)
     _, made, (code, out, error) = solve(tool, tmp_path, CASES['uav_square_0'])
     assert code == 1
