@@ -157,10 +157,10 @@ def test_the_solver_of_a_catch_past_the_horizon_is_built_in_advance():
     for k in range(2):  # every 0.3 s
         here = odometry([4.5 * k, 0.0], 0.0, 15.0, 0.3 * k)
         tick = controller.tick(here, *still((-10.0, 5.0)))
-    sizes, solver = [], controller._interception.solver
+    sizes, solver, sought = [], controller._solver_for, controller._interception
     expected = [(tick.catch.time - 0.3 - early) / WING.step for early in (-0.05, 0.0, 0.05)]
     ends = {np.ceil(4.0 * each) / 4.0 for each in expected} | {np.ceil(expected[1]) - 1.0}
-    for built in (controller.prepare, lambda: [solver(end, False) for end in ends]):
+    for built in (controller.prepare, lambda: [sought.solver(end) for end in ends]):
         sizes += [solver.cache_info().currsize]
         built()
     assert solver.cache_info().currsize == sizes[1] > sizes[0]

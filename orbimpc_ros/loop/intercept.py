@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -174,7 +174,6 @@ class Interception:
         *,
         centred: bool = False,
     ) -> None:
-        self._solver_for = solver_for
         self._tracked, self._radius, self._lag = problem, radius, lag
         self._near = GRAZE * radius
         self._centred = centred
@@ -186,24 +185,27 @@ class Interception:
         self._coned = problem.approach.exists
         self._aim = (NARROW if self._coned else AIM) * radius
         self._costliest = (1.0 + EFFORT) * radius**2  # of catches
-        caught = partial(catching, problem, radius)
-        self.problem = lru_cache(maxsize=MEMORY)(caught)
-        self.solver = lru_cache(maxsize=MEMORY)(self._solver)
+        self._solver_for = solver_for
+        self.problem = lru_cache(maxsize=MEMORY)(self._problem)
         for end in range(1, self._horizon + 1):  # used by nearly every search
             for narrow in (False, True) if self._coned else (False,):
                 self.solver(end, narrow)
 
-    def _solver(self, end: float, narrow: bool) -> Solver:
+    def solver(self, end: float, narrow: bool = False) -> Solver:
         """Return the solver for an end, possibly in the narrower cone.
 
         Past the horizon, any plan well within the radius will do; within it, the best is wanted.
         """
-        problem = self.problem(end)
-        if narrow:
-            approach = replace(problem.approach, cone=NARROW * problem.approach.cone)
-            problem = replace(problem, approach=approach)
         well = self._well(end) ** 2 if end > self._horizon else -math.inf
-        return self._solver_for(problem, enough=Enough(well, self._costliest))
+        return self._solver_for(self.problem(end, narrow), enough=Enough(well, self._costliest))
+
+    def _problem(self, end: float, narrow: bool = False) -> Problem:
+        """Return the problem of minimising the miss at an end, possibly in the narrower cone."""
+        problem = catching(self._tracked, self._radius, end)
+        if not narrow:
+            return problem
+        cone = NARROW * problem.approach.cone
+        return replace(problem, approach=replace(problem.approach, cone=cone))
 
     def prepare(self, expected: float) -> None:
         """Build the solvers of a catch expected past the horizon: at about an end, in steps.
@@ -426,19 +428,19 @@ class Interception:
         A plan is solved again for a goal shifted by its defect (iterated defect correction), while
         the next one may end near the goal if its defect is as here.
         """
-        found, aims = MISSED, goals
+        found, aims, problem = MISSED, goals, self.problem(end, narrow)
+        posed = replace(query.task, solver_for=lambda _: self.solver(end, narrow))
         for _ in range(TRIES):
             if query.late():
                 return found
-            solver = self.solver(end, narrow)
-            task = query.task.within(solver.problem, aims, solver)
+            task = posed.within(problem, aims)
             answer = task.solved()
             query.tried += 1
             plan, status, _ = answer
             if plan is None:
                 return NEVER if status is Status.INFEASIBLE and aims is goals else found
             place = plan.positions[-1]
-            astray = defect(solver.problem, query.task.state, plan, self._lag)
+            astray = defect(problem, query.task.state, plan, self._lag)
             miss = float(np.linalg.norm(place + astray - goals[-1]))
             if aims is goals:  # only this proof concerns the goal itself
                 never = plan.proof.lower_bound > self._costliest

@@ -27,7 +27,7 @@ from orbimpc_ros.loop.fallback import (
     safe_command,
 )
 from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
-from orbimpc_ros.loop.intercept import FARTHEST, Intercept, Interception, InterceptQuery
+from orbimpc_ros.loop.intercept import FARTHEST, MEMORY, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.traffic import ObservedTraffic, achieved_clearance, nearest, with_clearance
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
@@ -202,12 +202,11 @@ class Planner:
         self._timeouts = odom_timeout, goal_timeout
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._projection = projection
-        self._solver_for = partial(
-            Solver, projection=projection, gap_tolerance=gap_tolerance, coasting=True
-        )
-        # Lengths of shortened steps do not recur: few solvers are kept.
-        self._solver = lru_cache(maxsize=2 * problem.horizon + 2)(self._made)
-        self._solver(problem.horizon, problem.step)
+        made = partial(Solver, projection=projection, gap_tolerance=gap_tolerance, coasting=True)
+        # Ends of catches recur, lengths of shortened steps do not: few solvers are kept for these.
+        most = MEMORY if capture_radius else 2 * problem.horizon + 2
+        self._solver_for = lru_cache(maxsize=most)(made)
+        self._solver_for(problem)
         if self._still:
             self.expect_hazards()
         self._interception: Interception | None = None
@@ -254,7 +253,7 @@ class Planner:
 
     def expect_hazards(self) -> None:
         """Compile in advance the code of the first plan among hazards, which takes a second."""
-        self._solver(self.problem.horizon, self.problem.step).expect_hazards()
+        self._solver_for(self.problem).expect_hazards()
 
     def prepare(self) -> None:
         """Build the solver for the next decision: of a shorter horizon, or of the expected catch.
@@ -267,7 +266,7 @@ class Planner:
         if self._shrinking:
             count, step = self._steps(memory.flown + 1.0)
             if count and step == self.problem.step:  # shortened steps differ each time
-                self._solver(count, step)
+                self._solver_for(replace(self.problem, horizon=count))
         elif self._interception is not None:
             end = (memory.catch - memory.last) / self.problem.step
             self._interception.prepare(end - memory.passed)
@@ -302,13 +301,6 @@ class Planner:
         if steps <= 0.0 or abs(steps - 1.0) <= SNAP:
             return 1.0
         return steps
-
-    def _made(self, count: int, step: float, *, soft: bool = False) -> Solver:
-        """Return the solver for ``count`` steps of length ``step`` [s], or for a soft arrival."""
-        problem = replace(self.problem, horizon=count, step=step)
-        if soft:
-            problem = replace(problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
-        return self._solver_for(problem)
 
     # --- a decision
 
@@ -397,11 +389,12 @@ class Planner:
         count, step = self._steps(memory.flown)
         if not count:
             return None
-        solver, before = self._solver(count, step), memory.decision
+        solver = self._solver_for(replace(self.problem, horizon=count, step=step))
+        made, before = self._solver_for, memory.decision
         pace = before.problem.step if before and before.problem else self.problem.step
         knots = memory.passed * (self.problem.step / pace) + step / pace * self._counted[:count]
         plan, none = before.plan if before else None, np.zeros((0, 0))
-        return Task(solver.problem, state, none, knots, solver, plan, self._projection, late)
+        return Task(solver.problem, state, none, knots, made, plan, self._projection, late)
 
     def _planned(self, given: Array | GoalMotion | None, start: PlanStart, task: Task) -> Decision:
         """Return the decision for a known goal."""
@@ -537,7 +530,6 @@ class Planner:
         if reason.cause:
             return self._safe(task.state, status, reason)
         if eased := leaving(task):
-            eased = replace(eased, solver=self._solver_for(eased.problem))
             plan, _, _ = eased.solved()
             if plan is not None:
                 reason = reason.and_so('the plan leads out of it')
@@ -550,8 +542,8 @@ class Planner:
 
     def _arrive_softly(self, task: Task, status: Status, reason: Reason) -> Decision:
         memory = self._memory
-        solver = self._solver(task.problem.horizon, task.problem.step, soft=True)
-        eased = replace(task, problem=solver.problem, solver=solver)
+        soft = replace(task.problem, terminal='penalty', arrival_weight=ARRIVAL_WEIGHT)
+        eased = replace(task, problem=soft)
         plan, _, _ = eased.solved(guessing=True)
         if plan is None:
             return self._safe(task.state, status, reason)

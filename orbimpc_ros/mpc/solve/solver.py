@@ -379,7 +379,7 @@ class Task:
     state: State  # initial state of plans
     goals: Array  # g_1..g_N, shape (N, n) [m]
     knots: Array  # ends of the steps, in steps of the previous plan from its start, (N,)
-    solver: Solver | None = None  # for the problem
+    solver_for: Callable[[Problem], Solver] = Solver  # makes or looks up the solver of a problem
     previous: Plan | None = None  # the previous plan; None without one to continue
     projection: str = 'thrust_aligned'  # projection of plans to rotations
     late: Late | None = None  # whether the deadline has passed; None without one
@@ -403,7 +403,7 @@ class Task:
             return None
         return assemble(*self.known, self.onward, projection=self.projection, proof=UNPROVED)
 
-    def within(self, problem: Problem, goals: Array, solver: Solver | None = None) -> Task:
+    def within(self, problem: Problem, goals: Array) -> Task:
         """Return the task for a problem with another number or length of steps, and its goals."""
         count, step, knots = len(goals), problem.step, self.knots[: len(goals)]
         if step != self.problem.step:
@@ -412,7 +412,7 @@ class Task:
             knots = self.knots[0] - each + each * stretched
         goals = goals.copy()
         goals.setflags(write=False)
-        return replace(self, problem=problem, goals=goals, knots=knots, solver=solver)
+        return replace(self, problem=problem, goals=goals, knots=knots)
 
     def solved(self, *, guessing: bool = False) -> Answer:
         """Return a checked plan, or None, with status and reason.
@@ -420,11 +420,11 @@ class Task:
         The search is warm-started from the remainder of the previous plan if that helps the solver,
         or if ``guessing``.
         """
-        assert self.solver is not None
-        useful = guessing or self.solver.takes_guess or bool(self.state.hazards)
+        solver = self.solver_for(self.problem)
+        useful = guessing or solver.takes_guess or bool(self.state.hazards)
         guess = self.onward if useful else None
         try:
-            plan = self.solver.solve(self.state, self.goals, guess, self.late)
+            plan = solver.solve(self.state, self.goals, guess, self.late)
         except Infeasible as error:
             return None, Status.INFEASIBLE, str(error)
         except SolverFailure as error:
