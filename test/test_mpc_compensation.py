@@ -232,6 +232,18 @@ def test_a_lag_that_cannot_be_is_refused(name, value):
         Response(**{name: value})
 
 
+@pytest.mark.parametrize('estimated', [True, False])
+def test_a_lagging_wing_met_in_flight_is_planned_for_at_its_speed(estimated):
+    plant = Plant(forward=15.0, speed_lag=0.8)
+    floored = Problem(forward=15.0, max_rate=0.4, floor=Floor('circle', fraction=2.0 / 3.0))
+    loop, wing = Compensator(floored, Response(0.8), estimated=estimated), started(plant, 0.0, 0.9)
+    for told in (0.9, 0.7):
+        share = np.linalg.norm(loop.start(measured(wing)).state['rotation'][:, 0])
+        assert share == pytest.approx(wing.fraction, abs=1e-9)
+        loop.history.add(command(told), wing.time)
+        wing = flown(plant, wing, told, np.zeros(1), 0.5)
+
+
 def test_the_applied_thrust_follows_what_was_commanded():
     """Also commands that are forgotten by now: there are many within a lag."""
     lag = 0.3
@@ -335,7 +347,7 @@ class Watched:
         return np.array(innovations)
 
     def observe(self, odometry):
-        self.estimator.observe(odometry)
+        self.estimator.start(odometry)
 
     @property
     def found(self):

@@ -92,11 +92,11 @@ class CommandHistory:
         last: the last command, sent or about to be; None before the first.
         sent: recent commands with known times [s].
         due: the command of the step that begins, of a vehicle with lags; None if it is the last.
+        begun: share of full speed or thrust before the oldest of the ``sent`` ones.
     """
 
     def __init__(self, lag: float = 0.0) -> None:
-        self.lag = lag
-        self._reached: float | None = None  # share at the oldest command, once one is forgotten
+        self.lag, self.begun = lag, 0.0
         self.last: Command | None = None
         self.sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
         self.due: Command | None = None
@@ -111,27 +111,26 @@ class CommandHistory:
         """Return the last commanded share of full speed or thrust; 0 before the first command."""
         return 0.0 if self.last is None else self.last.speed_fraction
 
-    def applied(self, time: float, begun: float = 0.0) -> float:
+    def applied(self, time: float) -> float:
         """Return the share of full speed or thrust that commands have led to at a time [s].
 
-        Without times, the last command counts as reached; ``begun`` is the share before the first.
+        Without times, the last command counts as reached.
         """
         if not self.sent:
-            return self.fraction
-        reached = begun if self._reached is None else self._reached
+            return self.begun if self.last is None else self.fraction
+        reached = self.begun
         for interval in self.intervals(self.sent[0][0], time):
             assert interval.command is not None
             wanted = interval.command.speed_fraction
             reached, _ = followed(reached, wanted, interval.duration, self.lag)
         return reached
 
-    def mean(self, begin: float, end: float, begun: float = 0.0) -> float | None:
+    def mean(self, begin: float, end: float) -> float | None:
         """Return the mean share of speed or thrust from ``begin`` to ``end`` [s]; None if unknown.
 
         Without a lag, the speed or thrust of a command takes effect when the next command comes.
-        ``begun`` is the share before the first command.
         """
-        flown, reached = 0.0, self.applied(begin, begun)
+        flown, reached = 0.0, self.applied(begin)
         for interval in self.intervals(begin, end):
             given = interval.command if self.lag else interval.before
             if given is None:
@@ -147,15 +146,13 @@ class CommandHistory:
         if at is None:
             return
         if len(self.sent) == MEMORY:
-            (since, first), (until, _) = self.sent[0], self.sent[1]
-            before = first.speed_fraction if self._reached is None else self._reached
-            self._reached, _ = followed(before, first.speed_fraction, until - since, self.lag)
+            self.begun = self.applied(self.sent[1][0])
         self.sent.append((at, command))
 
     def forget(self) -> None:
         """Forget all but the last command, for instance because the clock jumped."""
         self.sent.clear()
-        self.due = self._reached = None
+        self.due, self.begun = None, 0.0
 
     def intervals(self, begin: float, end: float) -> list[Interval]:
         """Return the commands in force from ``begin`` to ``end`` [s]; empty unless begin < end."""
@@ -284,7 +281,6 @@ class Compensator:
             self._estimate = np.zeros((3, self._problem.dimension))
             self._covariance = np.diag([0.0, 0.0, PRIOR**2])
         self._last: Odometry | None = None
-        self._begun = 0.0  # share of full speed at the first command
         self._leaning = np.zeros(self._problem.dimension)  # recent bias of innovations, normalised
         self._reported = -math.inf  # stamp of the last reported wind [s]
         self.innovation, self._refused = 0.0, 0
@@ -296,8 +292,7 @@ class Compensator:
         if not self._estimated:
             return
         self._estimate, self._covariance = other._estimate, other._covariance
-        self._last, self._begun = other._last, other._begun
-        self._leaning, self._reported = other._leaning, other._reported
+        self._last, self._leaning, self._reported = other._last, other._leaning, other._reported
         self.innovation, self._refused = other.innovation, other._refused
 
     @property
@@ -320,6 +315,8 @@ class Compensator:
         are not compensated.
         """
         odometry = along_the_air(measured) if self._sideslip else measured
+        if not self.history.sent and not self._problem.inertial:
+            self._begin(odometry)
         limited = self.observe(odometry, wind) if self._estimated else ''
         coming = [] if now is None else self.history.intervals(now - latency, now)
         odometry = self._settled(odometry, coming)
@@ -382,8 +379,7 @@ class Compensator:
                 thrust = 0.0 if before is None else before.speed_fraction
                 arcs.append((time, turning, thrust * full if inertial else air))
             return arcs, air, rate
-        begun = 0.0 if inertial else self._airspeed(measured) / problem.forward
-        share = self.history.applied(measured.time, begun)
+        share = self.history.applied(measured.time)
         for whole, command, _ in intervals:
             for _ in range(PARTS):
                 time, wanted, turn = whole / PARTS, share, rate
@@ -502,8 +498,6 @@ class Compensator:
         last = self._last
         if last is None or odometry.time > last.time:
             self._last = odometry
-            if not self.history.sent and not self._problem.inertial:
-                self._begin(odometry)
             moved = None if last is None else self._moved(last, odometry)
             if last is None or moved is None:
                 self._believe(odometry)
@@ -555,7 +549,8 @@ class Compensator:
         Over ground, its uncertainty is that of the wind, or the range of speeds of the vehicle.
         """
         least, noise = self._problem.least_speed, NOISE_OF_SPEED
-        self._begun = min(1.0, max(least, self._airspeed(odometry) / self._problem.forward))
+        share = self._airspeed(odometry) / self._problem.forward
+        self.history.begun = min(1.0, max(least, share))
         if self._velocity_source == 'ground':
             noise = min(1.0 - least, math.sqrt(self._covariance[-1, -1]))
         self._forget(1, noise**2)
@@ -588,7 +583,7 @@ class Compensator:
     def _moved(self, last: Odometry, now: Odometry) -> Array | None:
         """Return the motion by commands and given disturbance since, shape (1 or 2, n), or None."""
         problem, time = self._problem, now.time - last.time
-        share = self.history.mean(last.time, now.time, self._begun)
+        share = self.history.mean(last.time, now.time)
         if self._sideslip:
             share = 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / problem.forward
         if time > GAP or share is None:
