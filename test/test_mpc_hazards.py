@@ -281,7 +281,7 @@ def test_a_turn_that_is_cut_does_not_keep_clear():
     plan = swerving(np.radians([-60.0] * 8), speeds)
     start = meeting(2.5)
     assert violations(BOAT, start, FAR, plan) == []
-    task = Task(BOAT, start, FAR, np.arange(1.0, 9.0))
+    task = Task(BOAT, start, FAR)
     assert not is_clear(task, plan)
     able = swerving(np.radians([-20.0, -40.0] + [-60.0] * 6), speeds)
     assert is_clear(replace(task, state=meeting(4.0)), able)

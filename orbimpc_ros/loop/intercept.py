@@ -34,7 +34,7 @@ import numpy as np
 
 from orbimpc_ros.loop.compensation import followed
 from orbimpc_ros.loop.goal.motion import GoalMotion
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.check import holds
 from orbimpc_ros.mpc.geometry.rotations import log, turned
 from orbimpc_ros.mpc.model.dynamics import adrift
@@ -287,7 +287,7 @@ class Interception:
         if not (0.0 < end <= self._last(query) and self._may(query, end)):
             return MISSED
         goals = self._goals(query, end)
-        task = query.task.within(self.problem(end), goals)
+        task = replace(query.task, problem=self.problem(end), goals=sealed(goals))
         plan = task.rest
         if plan is None or not holds(*task.known, plan) or _turns_too_far(plan, end):
             return MISSED
@@ -429,11 +429,12 @@ class Interception:
         the next one may end near the goal if its defect is as here.
         """
         found, aims, problem = MISSED, goals, self.problem(end, narrow)
-        posed = replace(query.task, solver_for=lambda _: self.solver(end, narrow))
+        changed = {'problem': problem, 'solver_for': lambda _: self.solver(end, narrow)}
+        posed = replace(query.task, **changed)
         for _ in range(TRIES):
             if query.late():
                 return found
-            task = posed.within(problem, aims)
+            task = replace(posed, goals=sealed(aims))
             answer = task.solved()
             query.tried += 1
             plan, status, _ = answer

@@ -381,31 +381,26 @@ class Planner:
         memory.reached = moved_towards(self.problem, before, asked, steps)
 
     def _task(self, state: State, late: Late | None) -> Task | None:
-        """Return the task, still without goals; None without any steps.
-
-        Its knots are the ends of its steps in the previous plan.
-        """
+        """Return the task, still without goals; None without any steps."""
         memory = self._memory
         count, step = self._steps(memory.flown)
         if not count:
             return None
         solver = self._solver_for(replace(self.problem, horizon=count, step=step))
-        made, before = self._solver_for, memory.decision
+        before, since = memory.decision, memory.passed * self.problem.step
         pace = before.problem.step if before and before.problem else self.problem.step
-        knots = memory.passed * (self.problem.step / pace) + step / pace * self._counted[:count]
-        plan, none = before.plan if before else None, np.zeros((0, 0))
-        return Task(solver.problem, state, none, knots, made, plan, self._projection, late)
+        known, plan = (solver.problem, state, np.zeros((0, 0))), before.plan if before else None
+        return Task(*known, self._solver_for, plan, pace, since, self._projection, late)
 
     def _planned(self, given: Array | GoalMotion | None, start: PlanStart, task: Task) -> Decision:
         """Return the decision for a known goal."""
         memory, state, odometry = self._memory, task.state, start.odometry
         assert given is not None
-        ends = odometry.time + task.problem.step * self._counted[: len(task.knots)]
+        ends = odometry.time + task.problem.step * self._counted[: task.problem.horizon]
         motion = None if isinstance(given, np.ndarray) else given
         if isinstance(motion, Route):
             motion = self._paced(motion, odometry)
-        goals = np.array(given if motion is None else motion.at(ends), dtype=float)
-        goals.setflags(write=False)
+        goals = sealed(np.array(given if motion is None else motion.at(ends), dtype=float))
         goals, shortened = clamp_goal(self.problem, state, goals)
         task = replace(task, goals=goals)
         held, catch = '', None

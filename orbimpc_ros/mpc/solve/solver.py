@@ -378,9 +378,10 @@ class Task:
     problem: Problem
     state: State  # initial state of plans
     goals: Array  # g_1..g_N, shape (N, n) [m]
-    knots: Array  # ends of the steps, in steps of the previous plan from its start, (N,)
     solver_for: Callable[[Problem], Solver] = Solver  # makes or looks up the solver of a problem
     previous: Plan | None = None  # the previous plan; None without one to continue
+    pace: float = 1.0  # step of the previous plan [s]
+    since: float = 0.0  # start of the previous plan until that of this one [s]
     projection: str = 'thrust_aligned'  # projection of plans to rotations
     late: Late | None = None  # whether the deadline has passed; None without one
 
@@ -388,6 +389,12 @@ class Task:
     def known(self) -> tuple[Problem, State, Array]:
         """Return the problem, state and goals against which plans are checked."""
         return self.problem, self.state, self.goals
+
+    @property
+    def knots(self) -> Array:
+        """Return the ends of the steps, in steps of the previous plan from its start, (N,)."""
+        steps = np.arange(1.0, self.problem.horizon + 1.0)
+        return np.asarray(self.since / self.pace + self.problem.step / self.pace * steps)
 
     @cached_property
     def onward(self) -> Array | None:
@@ -402,17 +409,6 @@ class Task:
         if self.onward is None:
             return None
         return assemble(*self.known, self.onward, projection=self.projection, proof=UNPROVED)
-
-    def within(self, problem: Problem, goals: Array) -> Task:
-        """Return the task for a problem with another number or length of steps, and its goals."""
-        count, step, knots = len(goals), problem.step, self.knots[: len(goals)]
-        if step != self.problem.step:
-            each = self.knots[1] - self.knots[0]
-            stretched = step / self.problem.step * np.arange(1.0, count + 1.0)
-            knots = self.knots[0] - each + each * stretched
-        goals = goals.copy()
-        goals.setflags(write=False)
-        return replace(self, problem=problem, goals=goals, knots=knots)
 
     def solved(self, *, guessing: bool = False) -> Answer:
         """Return a checked plan, or None, with status and reason.
