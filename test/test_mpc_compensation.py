@@ -135,13 +135,6 @@ def test_intervals_are_what_was_in_force():
     assert told(2.5, 2.5) == told(2.5, 2.0) == []
 
 
-def test_forgotten_commands_are_not_in_force():
-    kept = CommandHistory()
-    kept.add(A, 1.0)
-    kept.forget()
-    assert [interval.command for interval in kept.intervals(1.5, 2.0)] == [None]
-
-
 # --- lags
 
 
@@ -232,11 +225,10 @@ def test_a_lag_that_cannot_be_is_refused(name, value):
         Response(**{name: value})
 
 
-@pytest.mark.parametrize('estimated', [True, False])
-def test_a_lagging_wing_met_in_flight_is_planned_for_at_its_speed(estimated):
+def test_a_lagging_wing_met_in_flight_is_planned_for_at_its_speed():
     plant = Plant(forward=15.0, speed_lag=0.8)
     floored = Problem(forward=15.0, max_rate=0.4, floor=Floor('circle', fraction=2.0 / 3.0))
-    loop, wing = Compensator(floored, Response(0.8), estimated=estimated), started(plant, 0.0, 0.9)
+    loop, wing = Compensator(floored, Response(0.8)), started(plant, 0.0, 0.9)
     for told in (0.9, 0.7):
         share = np.linalg.norm(loop.start(measured(wing)).state['rotation'][:, 0])
         assert share == pytest.approx(wing.fraction, abs=1e-9)
@@ -265,6 +257,8 @@ def test_the_applied_thrust_follows_what_was_commanded():
         history.add(Command(fraction, np.zeros(1), np.eye(2)), 1.2 + 0.005 * k)
         vehicle = flown(plant, vehicle, fraction, np.zeros(1), 0.005)
     assert history.applied(1.2 + 0.005 * 200) == pytest.approx(vehicle.fraction, abs=1e-3)
+    history.forget()
+    assert history.intervals(1.5, 2.0) == [Interval(0.5, None, None)]
 
 
 @pytest.mark.parametrize(('seed', 'gain'), [(0, 0.97), (1, 1.03)])
@@ -336,7 +330,7 @@ class Watched:
         for _ in range(ticks):
             seen = measured(self.vehicle, self.source)
             error = noise * self.rng.normal(size=len(seen.position)) + moved
-            self.observe(replace(seen, position=seen.position + error))
+            self.estimator.start(replace(seen, position=seen.position + error))
             innovations.append(self.estimator.innovation)
             fraction, rate = command or (
                 self.rng.uniform(0.5, 1.0), 0.4 * self.rng.normal(size=self.plant.rates),
@@ -345,9 +339,6 @@ class Watched:
             self.history.add(given, self.vehicle.time)
             self.vehicle = flown(self.plant, self.vehicle, fraction, given.body_rate, self.step)
         return np.array(innovations)
-
-    def observe(self, odometry):
-        self.estimator.start(odometry)
 
     @property
     def found(self):
@@ -485,7 +476,7 @@ def test_nothing_is_learnt_over_a_gap_or_from_a_stamp_that_does_not_increase(wat
         vehicle = flown(WING, vehicle, given.speed_fraction, given.body_rate, later)
     seen = measured(vehicle)
     place = seen.position + min(0.0, later) * vehicle.velocity + off
-    watched.observe(replace(seen, time=watched.vehicle.time + later, position=place))
+    watched.estimator.start(replace(seen, time=watched.vehicle.time + later, position=place))
     np.testing.assert_array_equal(watched.found, before)
 
 
@@ -493,7 +484,7 @@ def test_nothing_is_learnt_before_a_command_is_known():
     watched = Watched(WING)
     for k in range(5):
         seen = measured(watched.vehicle)
-        watched.observe(replace(seen, time=0.1 * k, position=np.array([3.0 * k, 0.0])))
+        watched.estimator.start(replace(seen, time=0.1 * k, position=np.array([3.0 * k, 0.0])))
     np.testing.assert_array_equal(watched.found, [0.0, 0.0])
 
 
