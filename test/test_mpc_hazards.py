@@ -19,11 +19,10 @@ from orbimpc_ros.loop.traffic import (
     ObservedBody,
     ObservedTraffic,
     ObstacleTracker,
-    achieved_clearance,
     clearance,
     nearest,
+    reserving,
     silence,
-    with_clearance,
 )
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.clearance import clearances
@@ -248,11 +247,10 @@ def test_as_much_of_a_reserve_counts_as_the_plan_before_keeps():
     start, goals = State.at([0.0, 0.0], np.eye(2)), np.tile([3.0, 0.0], (6, 1))
     plan = Solver(problem).solve(start, goals)
     beside = replace(start, hazards=hazards)
-    found = achieved_clearance(problem, beside, plan, 0.6)
-    assert found.tolist() == pytest.approx([0.0, 0.2, 0.6])
-    assert achieved_clearance(problem, beside, None, 0.6).tolist() == [0.0] * 3
-    asked = with_clearance(beside, found).hazards
-    assert [each.reserve for each in asked] == pytest.approx(found.tolist())
+    for previous, kept in (plan, [0.0, 0.2, 0.6]), (None, [0.0] * 3):
+        wary = reserving(Task(problem, beside, goals, previous=previous, pace=0.5), 0.6)
+        found = [[hazard.reserve for hazard in each.state.hazards] for each in wary]
+        np.testing.assert_allclose(found, [[0.6] * 3, kept])
 
 
 # --- fallbacks for plans that do not keep the vehicle clear

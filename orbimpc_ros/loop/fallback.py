@@ -15,6 +15,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from operator import attrgetter
 from typing import TYPE_CHECKING
@@ -44,7 +45,7 @@ def is_clear(task: Task, plan: Plan) -> bool:
     """Return True if the first steps of a checked plan, steered, stay clear of hazards."""
     if not _cuts_turns(task.problem):
         return True
-    return _suffices(task.problem, _room(task, plan, SURE_STEPS))
+    return _suffices(task.problem, _room(task, SURE_STEPS, plan))
 
 
 def cheapest_clear(task: Task, plans: Iterable[Plan]) -> Plan | None:
@@ -61,12 +62,9 @@ def clear_instead(task: Task, plan: Plan) -> Plan:
     Without one, return the path or plan whose first steps keep farthest from hazards. The bound of
     the plan also holds for its replacement.
     """
-    ways = [*_ways(task, plan.proof)]
-    found = cheapest_clear(task, ways)
-    if found is not None:
-        return found
-    sound = [each for each in ways if holds(*task.known, each)]
-    return max([*sound, plan], key=lambda each: _room(task, each, SURE_STEPS))
+    ways = [each for each in _ways(task, plan.proof) if holds(*task.known, each)]
+    farthest = partial(_room, task, SURE_STEPS)
+    return cheapest_clear(task, ways) or max([*ways, plan], key=farthest)
 
 
 def clearest(task: Task) -> tuple[Plan | None, float]:
@@ -77,19 +75,19 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
     still avoid a later conflict. From inside a hazard, all paths are as far outside as their start;
     then the distance at their end decides.
     """
-    problem, alone = task.problem, replace(task, state=replace(task.state, hazards=()))
+    problem, state, goals = task.known
+    alone = problem, replace(state, hazards=()), goals
     rest = [] if task.rest is None else [replace(task.rest, proof=UNPROVED)]
-    found = [each for each in chain(rest, _ways(task, UNPROVED)) if holds(*alone.known, each)]
-    if not found:
-        return None, 0.0
-    lasting = [_clear_steps(task, each) for each in found]
-    best = [each for each, n in zip(found, lasting, strict=True) if n == max(lasting)]
-    rooms = [_room(task, each, problem.horizon) for each in best]
+    found = [each for each in chain(rest, _ways(task, UNPROVED)) if holds(*alone, each)]
     unit, over = SAME * problem.maps.unit, np.array([problem.step * problem.horizon])
-    depths = [[h.depth(each.positions[-1:], over)[0] for h in task.state.hazards] for each in best]
-    ends = [-max(deep) for deep in depths]
-    chosen = max(range(len(best)), key=lambda i: (round(rooms[i] / unit), ends[i]))
-    return best[chosen], rooms[chosen]
+
+    def rank(plan: Plan) -> tuple[int, int, float]:
+        room = round(_room(task, problem.horizon, plan) / unit)
+        depths = [each.depth(plan.positions[-1:], over)[0] for each in state.hazards]
+        return _clear_steps(task, plan), room, -max(depths)
+
+    best = max(found, key=rank, default=None)
+    return best, 0.0 if best is None else _room(task, problem.horizon, best)
 
 
 def leaving(task: Task) -> Task | None:
@@ -109,7 +107,7 @@ def leaving(task: Task) -> Task | None:
 def _clear_steps(task: Task, plan: Plan) -> int:
     """Return the number of a plan's first steps that are clear of hazards."""
     steps = range(1, plan.horizon + 1)
-    return bisect_left(steps, True, key=lambda n: not _suffices(task.problem, _room(task, plan, n)))
+    return bisect_left(steps, True, key=lambda n: not _suffices(task.problem, _room(task, n, plan)))
 
 
 def _suffices(problem: Problem, room: float) -> bool:
@@ -123,7 +121,7 @@ def _ways(task: Task, proof: Proof) -> Iterator[Plan]:
         yield assemble(*task.known, x, projection=task.projection, proof=proof)
 
 
-def _room(task: Task, plan: Plan, steps: int) -> float:
+def _room(task: Task, steps: int, plan: Plan) -> float:
     """Return the distance of the first steps of a plan, when steered, from hazards [m]."""
     steps, (problem, state, goals) = min(steps, plan.horizon), task.known
     part, x = replace(problem, horizon=steps), plan.x[1 : steps + 1]

@@ -28,7 +28,7 @@ from orbimpc_ros.loop.fallback import (
 )
 from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
 from orbimpc_ros.loop.intercept import FARTHEST, MEMORY, Intercept, Interception, InterceptQuery
-from orbimpc_ros.loop.traffic import ObservedTraffic, achieved_clearance, nearest, with_clearance
+from orbimpc_ros.loop.traffic import ObservedTraffic, nearest, reserving
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
@@ -437,15 +437,10 @@ class Planner:
         """
         if not task.state.hazards:
             return task, task.solved()
-        wary = task
-        if self._reserve:
-            every = np.full(len(task.state.hazards), self._reserve)
-            wary = replace(task, state=with_clearance(task.state, every))
-        answer = wary.solved()
-        if answer[0] is None and self._reserve:
-            left = achieved_clearance(task.problem, task.state, task.rest, self._reserve)
-            wary = replace(task, state=with_clearance(task.state, left))
+        for wary in reserving(task, self._reserve) if self._reserve else [task]:
             answer = wary.solved()
+            if answer[0] is not None:
+                break
         return wary, self._clear(task, wary, answer)
 
     def _clear(self, task: Task, wary: Task, answer: Answer) -> Answer:

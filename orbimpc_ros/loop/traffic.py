@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +25,11 @@ from orbimpc_ros.loop.goal.motion import slope
 from orbimpc_ros.mpc.arrays import Array, ByContent
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.reach import depths, farthest
+
+if TYPE_CHECKING:  # slow to import, and the simulator needs no solver
+    from orbimpc_ros.mpc.solve.solver import Task
 
 LATEST = 3  # sightings used to fit a velocity
 MOST = 1000  # largest number of bodies
@@ -211,23 +214,18 @@ def clearance(problem: Problem, state: State, positions: Array) -> float:
     return -float(max(deepest, default=-math.inf))
 
 
-def with_clearance(state: State, reserves: Array) -> State:
-    """Return the state with reserves added to its hazards, shape (J,) [m]."""
-    pairs = zip(state.hazards, reserves.tolist(), strict=True)
-    return replace(state, hazards=tuple(replace(each, reserve=room) for each, room in pairs))
+def reserving(task: Task, reserve: float) -> Iterator[Task]:
+    """Yield a task with a reserve [m] around its hazards, and with what its plan keeps of it.
 
-
-def achieved_clearance(problem: Problem, state: State, plan: Plan | None, reserve: float) -> Array:
-    """Return how much of a reserve [m] a plan from a state keeps from each hazard, shape (J,) [m].
-
-    Without a plan, all are zero.
+    That is, for each hazard, the largest of the ``SHARES`` kept by the rest of the previous plan.
     """
-    found = np.zeros(len(state.hazards))
-    if plan is None:
-        return found
+    kept, asked = list(task.state.hazards), []
     for share in SHARES:
-        asked = np.full(len(found), share * reserve)
-        apart = clearances(problem, with_clearance(state, asked), plan)
-        clear = np.array([apart[f'hazard {j}'] >= 0.0 for j in range(len(found))])
-        found[clear] = share * reserve
-    return found
+        around = (replace(each, reserve=share * reserve) for each in kept)
+        asked.append(replace(task.state, hazards=tuple(around)))
+    yield replace(task, state=asked[-1])
+    for state in asked if task.rest else ():
+        apart = clearances(task.problem, state, task.rest)
+        for j, each in enumerate(state.hazards):
+            kept[j] = each if apart[f'hazard {j}'] >= 0.0 else kept[j]
+    yield replace(task, state=replace(task.state, hazards=tuple(kept)))
