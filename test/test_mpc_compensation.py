@@ -119,10 +119,7 @@ def told(begin, end, sent=((1.0, A), (2.0, B), (3.0, C))):
     kept = CommandHistory()
     for at, given in sent:
         kept.add(given, at)
-    return [
-        (pytest.approx(interval.duration), interval.command, interval.before)
-        for interval in kept.intervals(begin, end)
-    ]
+    return [(pytest.approx(time), *given) for time, *given in kept.intervals(begin, end)]
 
 
 def test_intervals_are_what_was_in_force():
