@@ -224,8 +224,8 @@ def reserving(task: Task, reserve: float) -> Iterator[Task]:
         around = (replace(each, reserve=share * reserve) for each in kept)
         asked.append(replace(task.state, hazards=tuple(around)))
     yield replace(task, state=asked[-1])
-    for state in asked if task.rest else ():
-        apart = clearances(task.problem, state, task.rest)
+    for state in asked:
+        apart = {} if task.rest is None else clearances(task.problem, state, task.rest)
         for j, each in enumerate(state.hazards):
-            kept[j] = each if apart[f'hazard {j}'] >= 0.0 else kept[j]
+            kept[j] = each if apart.get(f'hazard {j}', -1.0) >= 0.0 else kept[j]
     yield replace(task, state=replace(task.state, hazards=tuple(kept)))
