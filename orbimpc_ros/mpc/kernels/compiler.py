@@ -19,20 +19,15 @@ from types import SimpleNamespace
 from typing import Any
 from zlib import crc32
 
-from llvmlite import ir
 from llvmlite.binding import add_symbol, parse_assembly
-from numba import njit, types
+from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
-from numba.core.cgutils import alloca_once_value
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
-from numba.core.datamodel import default_manager
-from numba.core.datamodel.models import TupleModel
 from numba.core.lowering import Lower
 from numba.core.runtime._nrt_python import c_helpers
 from numba.core.typed_passes import NativeLowering
-from numba.np.arrayobj import load_item, store_item
 
 STAMP = 'orbimpc_ros.sha256'  # hash of the sources of the machine code next to it
 SHARED = 'kernels/*.py', 'proof/tree.py'  # sources that machine code of other folders uses
@@ -41,7 +36,6 @@ WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
 RUNTIME = 'NRT_'  # and those that create, count and free arrays
 MAKING = 'call', 'binop', 'inplace_binop', 'unary', 'arrayexpr'  # arrays, not parts of others
 COMMON: dict[str, Any] = {'error_model': 'numpy', 'no_cfunc_wrapper': True}
-INDEX = ir.IntType(32)
 UNNEEDED = (  # passes of numba that change nothing in this package's functions
     *('WithLifting', 'InlineClosureLikes', 'RewriteDynamicRaises', 'MakeFunctionToJitFunction'),
     *('InlineInlinables', 'FindLiterallyCalls', 'LiteralUnroll', 'InlineOverloads'),
@@ -113,45 +107,11 @@ class _Part(JITCodeLibrary):
         return SimpleNamespace(set_env=lambda name, environment: None)
 
 
-class _Pointed(TupleModel):
-    """A named tuple of this package, which functions take by its address, and never change.
-
-    numba would pass each number and address in it by itself, hundreds for a search.
-    """
-
-    def get_argument_type(self) -> Any:
-        """Return the type of an argument."""
-        return self.get_value_type().as_pointer()
-
-    def as_argument(self, builder: Any, value: Any) -> Any:
-        """Return the address of a value: the one that the caller got it by, if it did."""
-        return value.operands[0] if _is_given(value) else alloca_once_value(builder, value)
-
-    def from_argument(self, builder: Any, value: Any) -> Any:
-        """Return the value at an address."""
-        return builder.load(value)
-
-
-def _model_of(manager: Any, kind: Any) -> TupleModel:
-    """Return how a named tuple is stored and passed; those of other packages as usual."""
-    own = kind.instance_class.__module__.startswith('orbimpc_ros.')
-    return (_Pointed if own else TupleModel)(manager, kind)
-
-
-default_manager.register(types.NamedTuple, _model_of)
-
-
-def _is_given(value: Any) -> bool:
-    """Return True if a value is what is at an address that the function was given."""
-    return isinstance(value, ir.LoadInstr) and isinstance(value.operands[0], ir.Argument)
-
-
 class _Lowering(Lower):
-    """Translation of a function, with less code for the same.
+    """Translation of a function, which counts references only if it owns arrays.
 
-    References are counted only in functions that own arrays: without arrays that it creates or
-    returns, it would count each reference up and down again. Members
-    of variables are taken from where these are kept, one by one.
+    Without arrays that it creates or returns, it would count each reference up and down again:
+    a quarter of the time of compiling.
     """
 
     def __init__(self, context: Any, library: Any, known: Any, *rest: Any, **more: Any) -> None:
@@ -164,76 +124,6 @@ class _Lowering(Lower):
         )
         if not any(models[each].contains_nrt_meminfo() for each in (known.restype, *made)):
             self.context = self.context.subtarget(enable_nrt=False)
-
-    def setup_function(self, description: Any) -> None:
-        """Begin a function: nothing that it does changes named tuples."""
-        super().setup_function(description)
-        for each in self.function.args:
-            if isinstance(getattr(each.type, 'pointee', None), ir.LiteralStructType):
-                each.add_attribute('noalias')
-
-    def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
-        """Keep a value in a variable; a named tuple that is an argument stays where it is."""
-        if argidx is not None and _is_given(value) and not self.context.enable_nrt:
-            self._singly_assigned_vars.discard(name)
-            self.varmap[name] = value.operands[0]
-        else:
-            super().storevar(value, name, argidx)
-
-    def delvar(self, name: str) -> None:
-        """Give back what a variable owns."""
-        if self.context.enable_nrt:
-            super().delvar(name)
-
-    def lower_expr(self, kind: Any, expr: Any) -> Any:
-        """Translate an expression."""
-        if expr.op == 'getattr' and not self.context.enable_nrt:
-            whole = self.typeof(expr.value.name)
-            if isinstance(self.context.data_model_manager[whole], _Pointed):
-                return self._member(expr.value.name, whole.fields.index(expr.attr))
-        return super().lower_expr(kind, expr)
-
-    def lower_getitem(self, kind: Any, expr: Any, value: Any, index: Any, signature: Any) -> Any:
-        """Translate the reading of an item."""
-        array, entry = self.typeof(value.name), self._entry(value, index)
-        if entry is None:
-            return super().lower_getitem(kind, expr, value, index, signature)
-        item = load_item(self.context, self.builder, array, entry)
-        return self.context.cast(self.builder, item, array.dtype, kind)
-
-    def lower_setitem(self, target: Any, index: Any, value: Any, signature: Any) -> Any:
-        """Translate the writing of an item."""
-        array, entry = self.typeof(target.name), self._entry(target, index)
-        if entry is None:
-            return super().lower_setitem(target, index, value, signature)
-        given, kind = self.loadvar(value.name), self.typeof(value.name)
-        item = self.context.cast(self.builder, given, kind, array.dtype)
-        return store_item(self.context, self.builder, array, item, entry)
-
-    def _entry(self, array: Any, index: Any) -> Any:
-        """Return the address of a number in a contiguous array; None for all else."""
-        kind, at = self.typeof(array.name), self.typeof(index.name)
-        axes = getattr(at, 'types', (at,))
-        whole = all(isinstance(each, types.Integer) for each in axes)
-        if getattr(kind, 'layout', '') != 'C' or len(axes) != kind.ndim or not whole:
-            return None
-        builder, fields = self.builder, self.context.data_model_manager[kind]._fields
-        given, place = self.loadvar(index.name), ir.IntType(64)(0)
-        for i, axis in enumerate(axes):
-            step = builder.extract_value(given, i) if at is not axis else given
-            step = self.context.cast(builder, step, axis, types.intp)
-            length = self._member(array.name, fields.index('shape'), i)
-            negative = builder.icmp_signed('<', step, step.type(0))
-            step = builder.select(negative, builder.add(step, length), step)
-            place = builder.add(builder.mul(place, length), step)
-        return builder.gep(self._member(array.name, fields.index('data')), [place], inbounds=True)
-
-    def _member(self, name: str, *where: int) -> Any:
-        """Return a member of a variable, or a member of that."""
-        if name in self._blk_local_varmap:
-            return self.builder.extract_value(self._blk_local_varmap[name], where)
-        steps = [INDEX(0), *map(INDEX, where)]
-        return self.builder.load(self.builder.gep(self.getvar(name), steps, inbounds=True))
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
