@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_842,
-    'orbimpc_ros/mpc': 14_842,
+    'orbimpc_ros': 28_732,
+    'orbimpc_ros/mpc': 14_732,
     'orbimpc_ros/loop': 3_262,
     'orbimpc_ros/ros': 4_164,
     'orbimpc_ros/sim': 2_388,
