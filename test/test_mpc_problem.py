@@ -126,7 +126,7 @@ VALUES = {
         (lambda: weighed(Problem(), 'space'), 'weights.scaling'),
         (lambda: State.at([0.0] * 3, np.eye(3), hazards=(DRIFTING,)), 'state.hazards'),
         (lambda: Problem(obstacles=(Ball([1.0, 2.0, 3.0], 1.0),)), 'obstacles.centre'),
-        (lambda: Ball(np.eye(2), 1.0), 'obstacles.centre'),
+        *((lambda c=c: Ball(c, 1.0), 'obstacles.centre') for c in (np.eye(2), [[1.0], [1.0, 2.0]])),
         (lambda: tracked([0.0], [[0.0, 0.0]]), 'obstacles.times'),
         (lambda: tracked([0.0, 0.0], MOVED), 'obstacles.times'),
         (lambda: tracked([0.5, 1.0], MOVED), 'obstacles.times'),

@@ -508,10 +508,6 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
 def _means(attitudes: Array) -> Array:
     """Return the mean thrust axis in each step, (N, n), for even turns between attitudes."""
     turns = np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
-    if turns.shape[-1] == 2:
-        half = 0.5 * np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
-        reached = np.stack([np.cos(half), np.sin(half)], axis=1) * np.sinc(half / np.pi)[:, None]
-    else:
-        ahead = np.eye(3)[0]
-        reached = np.array([turned(log(each), ahead)[0] for each in turns])
+    ahead = np.eye(turns.shape[-1])[0]
+    reached = np.array([turned(log(each), ahead)[0] for each in turns])
     return np.einsum('kij,kj->ki', attitudes[:-1], reached)

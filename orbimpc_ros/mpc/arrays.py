@@ -18,16 +18,19 @@ Array = NDArray[np.floating[Any]]
 
 
 def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
-    """Return ``value`` as a read-only float array of the given shape.
+    """Return ``value`` as a read-only float array of the given shape; (-1,) is of any length.
 
     Raises:
         BadInput: not numbers, another shape, NaN or infinite.
     """
     with suppress(TypeError, ValueError, OverflowError):
-        array = np.array(value, dtype=float)
-        if array.shape == shape and np.isfinite(array).all():
+        known = numbers_of(value, culprit) if isinstance(value, list) else value
+        array = np.array(known, dtype=float)
+        fits = array.ndim == 1 if shape == (-1,) else array.shape == shape
+        if fits and np.isfinite(array).all():
             return sealed(array)
-    raise BadInput(culprit, value, f'{"x".join(map(str, shape))} finite numbers')
+    sizes = '' if shape == (-1,) else f'{"x".join(map(str, shape))} '
+    raise BadInput(culprit, value, f'{sizes}finite numbers')
 
 
 def sealed(array: Array) -> Array:
@@ -37,7 +40,7 @@ def sealed(array: Array) -> Array:
 
 
 def number(
-    value: object,
+    value: Any,
     culprit: str,
     low: float = -math.inf,
     high: float = math.inf,
@@ -50,7 +53,7 @@ def number(
         BadInput: not a number, not finite or out of range.
     """
     with suppress(OverflowError):  # an integer beyond the range of floats
-        if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
+        if _is_number(value):
             result = float(value)
             if math.isfinite(result) and low <= result <= high and not (above and result == low):
                 return result
@@ -89,13 +92,18 @@ def fields_of(
 
 
 def numbers_of(value: Any, culprit: str) -> Any:
-    """Return ``value`` if it is a list of numbers, or of lists of them; NumPy accepts words."""
-    leaves: list[Any] = value if isinstance(value, list) else [None]
-    while leaves and all(isinstance(leaf, list) for leaf in leaves):
-        leaves = [inner for leaf in leaves for inner in leaf]
-    if not all(isinstance(leaf, (int, float)) and not isinstance(leaf, bool) for leaf in leaves):
-        raise BadInput(culprit, value, 'a list of finite numbers')
+    """Return ``value`` if it is a list of numbers, or of lists of the same length of them.
+
+    NumPy accepts words and truth values, too.
+    """
+    if not (isinstance(value, list) and all(map(_is_number, np.array(value, dtype=object).flat))):
+        raise BadInput(culprit, value, 'a list of finite numbers, or lists of the same length')
     return value
+
+
+def _is_number(value: Any) -> bool:
+    numeric = isinstance(value, (int, float, np.integer, np.floating))
+    return numeric and not isinstance(value, bool)
 
 
 class ByContent:

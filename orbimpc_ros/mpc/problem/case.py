@@ -122,9 +122,9 @@ def body_of(value: Any, culprit: str, needed: Names = (), optional: Names = ()) 
     """
     if isinstance(value, dict) and ('centre' in value or 'radius' in value):
         ball = fields_of(value, culprit, ('centre', 'radius', *needed), optional)
-        return Ball(numbers_of(ball['centre'], 'obstacles.centre'), ball['radius'])
+        return Ball(ball['centre'], ball['radius'])
     box = fields_of(value, culprit, ('min', 'max', *needed), optional)
-    return Box(numbers_of(box['min'], 'obstacles.min'), numbers_of(box['max'], 'obstacles.max'))
+    return Box(box['min'], box['max'])
 
 
 def _hazard(value: Any, culprit: str) -> MovingObstacle:
@@ -139,14 +139,12 @@ def _hazard(value: Any, culprit: str) -> MovingObstacle:
 def _state(problem: Problem, value: Any, wanted: Any, hazards: tuple[MovingObstacle, ...]) -> State:
     rates = ['velocity'] * problem.inertial + ['rotation_rate'] * (problem.rotation_order == 2)
     known = fields_of(value, 'state', ('position', 'rotation'), ('disturbance', *rates))
-    arrays, n = (
-        {name: numbers_of(known[name], f'state.{name}') for name in known},
-        problem.dimension,
-    )
+    n = problem.dimension
+    arrays = {name: numbers_of(each, f'state.{name}') for name, each in known.items()}
     # The state takes its dimension from the position: settle that first.
     arrays['position'] = frozen(arrays['position'], (n,), 'state.position')
     if wanted is not None:
-        arrays['wanted'] = frozen(numbers_of(wanted, 'goal_attitude'), (n, n), 'goal_attitude')
+        arrays['wanted'] = frozen(wanted, (n, n), 'goal_attitude')
     return State.at(**arrays, hazards=hazards)
 
 

@@ -32,8 +32,8 @@ class Box(ByContent):
     maximum: Array
 
     def __post_init__(self) -> None:
-        shape = (np.size(self.minimum),)
-        object.__setattr__(self, 'minimum', frozen(self.minimum, shape, 'obstacles.min'))
+        object.__setattr__(self, 'minimum', frozen(self.minimum, (-1,), 'obstacles.min'))
+        shape = self.minimum.shape
         object.__setattr__(self, 'maximum', frozen(self.maximum, shape, 'obstacles.max'))
         if not np.all(self.minimum < self.maximum):
             raise BadInput('obstacles.max', self.maximum.tolist(), f'above {self.minimum.tolist()}')
@@ -78,8 +78,7 @@ class Ball(ByContent):
     radius: float
 
     def __post_init__(self) -> None:
-        shape = (np.size(self.centre),)
-        object.__setattr__(self, 'centre', frozen(self.centre, shape, 'obstacles.centre'))
+        object.__setattr__(self, 'centre', frozen(self.centre, (-1,), 'obstacles.centre'))
         number(self.radius, 'obstacles.radius', 0.0, above=True)
 
     @property
@@ -122,8 +121,8 @@ class MovingObstacle(ByContent):
     unsure: float = 0.0
 
     def __post_init__(self) -> None:
-        count = np.size(self.times)
-        object.__setattr__(self, 'times', frozen(self.times, (count,), 'obstacles.times'))
+        object.__setattr__(self, 'times', frozen(self.times, (-1,), 'obstacles.times'))
+        count = len(self.times)
         shape = count, self.body.dimension
         object.__setattr__(self, 'shifts', frozen(self.shifts, shape, 'obstacles.shifts'))
         if count < 2 or self.times[0] != 0.0 or not (np.diff(self.times) > 0.0).all():

@@ -321,11 +321,11 @@ def _posed(document: Any) -> Posed:
     problem = Problem(**known, weights=Weights(**weights), floor=Floor(**floor), **more)
     n, count = problem.dimension, problem.horizon
     given = dict(fields_of(document['state'], 'state', STATE))
-    given['position'] = _array(given['position'], 'state.position', (n,))
+    given['position'] = frozen(given['position'], (n,), 'state.position')
     for name in STATE[1:]:
         if name not in MAYBE or given[name] is not None:
             numbers_of(given[name], f'state.{name}')
-    state, goals = State.at(**given), _array(document['goals'], 'goals', (count, n))
+    state, goals = State.at(**given), frozen(document['goals'], (count, n), 'goals')
     if state.wanted is None and problem.weights.attitude:
         raise BadInput('state.wanted', None, 'a rotation')
     limits = _limits(document.get('limits', {}), n, count)
@@ -348,7 +348,7 @@ def _limits(stated: Any, n: int, count: int) -> Limits:
     if 'glide_slope' in stated:
         slope = fields_of(stated['glide_slope'], 'glide_slope', ('angle', 'eased'))
         angle = number(slope['angle'], 'glide_slope', 0.0, 1.55 * (n == 3), above=True)
-        eased = _array(slope['eased'], 'glide_slope.eased', (count,))
+        eased = frozen(slope['eased'], (count,), 'glide_slope.eased')
         number(float(eased.min()), 'glide_slope.eased', 0.0)
         made = made._replace(glide_slope=angle, eased=eased)
     if 'speeds' in stated:
@@ -360,7 +360,7 @@ def _limits(stated: Any, n: int, count: int) -> Limits:
 
 def _cone(stated: Any, n: int, count: int) -> Cone:
     fields_of(stated, 'cone', Cone._fields)
-    axis = tuple(_array(stated['axis'], 'cone.axis', (n,)).tolist())
+    axis = tuple(frozen(stated['axis'], (n,), 'cone.axis').tolist())
     number(math.hypot(*axis), 'the size of cone.axis', 1e-6, 1e6)
     angle = number(stated['angle'], 'cone.angle', 0.0, math.pi / 2, above=True)
     steps = (whole(k, 'cone.steps', 1, count) for k in _items(stated['steps'], 'cone.steps'))
@@ -374,12 +374,8 @@ def _body(stated: Any, n: int, count: int) -> Body:
     if stated['of'] not in PARTS:
         raise BadInput.choice('body.of', stated['of'], PARTS)
     still = {'shifts': np.zeros((count + 1, n)).tolist(), 'grown': [0.0] * count, **stated}
-    shifts = _array(still['shifts'], 'body.shifts', (count + 1, n))
-    return Body(shape, still['of'], shifts, _array(still['grown'], 'body.grown', (count,)))
-
-
-def _array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
-    return frozen(numbers_of(value, name), shape, name)
+    shifts = frozen(still['shifts'], (count + 1, n), 'body.shifts')
+    return Body(shape, still['of'], shifts, frozen(still['grown'], (count,), 'body.grown'))
 
 
 def _items(value: Any, name: str) -> list[Any]:
@@ -408,10 +404,7 @@ def _tree(stated: Any) -> ProofTree:
     if known.pop('ordered', True) is not True:
         raise BadInput('tree.ordered', stated['ordered'], 'true')
     for name, value in known.items():
-        try:
-            made = np.array(numbers_of(value, f'tree.{name}'))
-        except ValueError:
-            raise BadInput(f'tree.{name}', value, 'lists of the same length') from None
+        made = np.array(numbers_of(value, f'tree.{name}'))
         if name in INTEGERS and made.size and made.dtype != np.int64:
             raise BadInput(f'tree.{name}', value, 'integers')
         if made.size or name in ARRAYS:
