@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_732,
-    'orbimpc_ros/mpc': 14_732,
-    'orbimpc_ros/loop': 3_262,
+    'orbimpc_ros': 28_726,
+    'orbimpc_ros/mpc': 14_730,
+    'orbimpc_ros/loop': 3_258,
     'orbimpc_ros/ros': 4_164,
     'orbimpc_ros/sim': 2_388,
     'orbimpc_ros/tool': 4_059,
