@@ -132,8 +132,8 @@ WITHOUT_ROS = """
 
 
 def test_without_ros_what_needs_it_is_skipped_and_the_rest_is_tested():
-    words = '--collect-only', '-rs', 'test/test_ros_path.py', 'test/test_mpc_limits.py'
+    words = '--collect-only', '-rs', 'test/test_ros_path.py', 'test/test_mpc_geometry.py'
     done = python(WITHOUT_ROS, *words, cwd=ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert 'test_mpc_limits.py::test_' in done.stdout
+    assert 'test_mpc_geometry.py::test_' in done.stdout
     assert 'needs ROS 2, or pip install' in done.stdout
