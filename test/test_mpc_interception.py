@@ -152,11 +152,11 @@ def test_a_catch_is_flown_on_where_there_is_no_time_to_look_for_one(place):
 
 
 @needs_machine_code
-def test_the_solver_of_a_catch_past_the_horizon_is_built_in_advance():
+@pytest.mark.parametrize('place', [(45.0, 20.0), (-10.0, 5.0)], ids=['in view', 'beyond'])
+def test_the_solver_of_an_expected_catch_is_built_in_advance(place):
     controller = Stepped(replace(WING, discretisation='exact'), capture_radius=RADIUS)
     for k in range(2):  # every 0.3 s
-        here = odometry([4.5 * k, 0.0], 0.0, 15.0, 0.3 * k)
-        tick = controller.tick(here, *still((-10.0, 5.0)))
+        tick = controller.tick(odometry([4.5 * k, 0.0], 0.0, 15.0, 0.3 * k), *still(place))
     sizes, solver, sought = [], controller._solver_for, controller._interception
     expected = [(tick.catch.time - 0.3 - early) / WING.step for early in (-0.05, 0.0, 0.05)]
     ends = {np.ceil(4.0 * each) / 4.0 for each in expected} | {np.ceil(expected[1]) - 1.0}

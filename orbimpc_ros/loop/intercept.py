@@ -208,13 +208,13 @@ class Interception:
         return replace(problem, approach=replace(problem.approach, cone=cone))
 
     def prepare(self, expected: float) -> None:
-        """Build the solvers of a catch expected past the horizon: at about an end, in steps.
+        """Build the solvers of a catch expected at about an end, in steps.
 
         These are the ends next to it, as ticks are not quite regular, and the first one sooner.
         """
         late, soon = (_coarsely(expected + by) for by in (0.5 * COARSEST, -0.5 * COARSEST))
         for end in (late, soon, math.ceil(soon) - 1.0):
-            if self._horizon < end <= self.farthest:
+            if 0.0 < end <= self.farthest and self._divides:
                 self.solver(end, self._coned)
 
     def earliest(self, query: InterceptQuery) -> tuple[tuple[Task, Answer] | None, Intercept]:
