@@ -35,7 +35,6 @@ RATE_TOLERANCE = 1e-6  # relative
 SUMMING = 1e-9  # relative: between two summations of the same objective
 ROUNDING = 1e-15  # relative: of coordinates far from the origin
 SHARES = 'hull', 'floor', 'max_rate', 'max_acceleration', 'approach', 'tilt'
-IDENTITY = {n: np.eye(n) for n in (2, 3)}
 
 
 def violations(problem: Problem, state: State, goals: Array, plan: Plan) -> list[str]:
@@ -275,7 +274,7 @@ def _flown(problem: Problem, plan: Plan) -> float:
 
 def _rotation_violations(problem: Problem, state: State, plan: Plan) -> Iterator[str]:
     turned = plan.projected
-    skewed = np.swapaxes(turned, 1, 2) @ turned - IDENTITY[problem.dimension]
+    skewed = np.swapaxes(turned, 1, 2) @ turned - np.eye(problem.dimension)
     if np.abs(skewed).max() > ORTHOGONAL:
         yield 'a projected rotation is not orthogonal'
         return

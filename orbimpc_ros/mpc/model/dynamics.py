@@ -59,16 +59,15 @@ def input_map(problem: Problem) -> Array:
     return np.diff(np.eye(problem.horizon + 1), order, axis=0) / problem.step**order
 
 
-def position_weights(problem: Problem) -> Array:
-    """Return the weight on |s_k - g_k|^2, k = 1..N, the terminal one included, shape (N,)."""
-    weights = np.full(problem.horizon, float(problem.weights.position))
-    weights[-1] += problem.weights.terminal + problem.arrival_weight
+def motion_weights(problem: Problem) -> Array:
+    """Return the weights on |s_1 - g_1|^2..|s_N - g_N|^2 and on |p_N|^2, shape (N + 1,).
+
+    Those at the end include the arrival weight, for p_N if the vehicle is inertial.
+    """
+    weights = np.full(problem.horizon + 1, float(problem.weights.position))
+    weights[-2] += problem.weights.terminal + problem.arrival_weight
+    weights[-1] = problem.arrival_weight * problem.step**2 * problem.inertial
     return weights
-
-
-def velocity_weight(problem: Problem) -> float:
-    """Return the weight on |p_N|^2, part of the arrival weight of an inertial vehicle."""
-    return problem.arrival_weight * problem.step**2 if problem.inertial else 0.0
 
 
 def turning_weights(problem: Problem) -> Array:
@@ -151,8 +150,8 @@ def flown(problem: Problem, state: State, goals: Array, turned: Array) -> Trajec
     every, last = missed.ravel(), missed[-1]
     cost = w.position * (every @ every) + w.input * (u @ u)
     cost += (w.terminal + problem.arrival_weight) * (last @ last)
-    if problem.arrival_weight > 0.0:
-        cost += velocity_weight(problem) * (velocities[-1] @ velocities[-1])
+    if problem.inertial:
+        cost += problem.arrival_weight * problem.step**2 * (velocities[-1] @ velocities[-1])
     if w.length > 0.0:
         cost += length_weights(problem) @ np.sqrt(np.einsum('kc,kc->k', axes, axes))
     if w.attitude > 0.0:
@@ -207,8 +206,7 @@ class Condensed:
         # Each row is s_k - g_k, and then p_N.
         flown = np.vstack([maps.places[1:], maps.speeds[-1:]])
         known = np.hstack([flown[:, STARTED], np.zeros((count + 1, 1)), -np.eye(count + 1, count)])
-        weights = np.append(position_weights(problem), velocity_weight(problem))
-        moved = Quadratic.of(weights, flown[:, 1:-2], known)
+        moved = Quadratic.of(motion_weights(problem), flown[:, 1:-2], known)
         self.axes = Quadratic(*map(np.add, moved, self.others))
         self.hessian = self.axes.hessian
         ends = slice(count - 1, count + problem.inertial)

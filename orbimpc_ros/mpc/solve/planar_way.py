@@ -18,7 +18,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
-from orbimpc_ros.mpc.model.dynamics import position_weights
+from orbimpc_ros.mpc.model.dynamics import motion_weights
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.search.engine import PlanarSearch
@@ -34,7 +34,7 @@ class PlanarWay:
     """
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
-        self._problem, self._weights = problem, np.sqrt(position_weights(problem))
+        self._problem, self._weights = problem, np.sqrt(motion_weights(problem)[:-1])
         self._search = PlanarSearch(_planar(problem), tolerance)
 
     @staticmethod

@@ -31,9 +31,8 @@ from orbimpc_ros.mpc.model.dynamics import (
     input_map,
     knowns,
     length_weights,
-    position_weights,
+    motion_weights,
     turning_weights,
-    velocity_weight,
 )
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
@@ -202,8 +201,8 @@ class Program:
         """Return half of P (of distances, inputs and the last rotation), and q (of lengths)."""
         problem = self.problem
         diagonal, linear = np.zeros(self.count), np.zeros(self.count)
-        diagonal[self._y[:, 0]] = 2.0 * position_weights(problem)[:, None]
-        diagonal[self._y[-1, 1:]] = 2.0 * velocity_weight(problem)
+        weights = 2.0 * motion_weights(problem)
+        diagonal[self._y[:, 0]], diagonal[self._y[-1, 1:]] = weights[:-1, None], weights[-1]
         bent, steadying = 2.0 * turning_weights(problem)
         diagonal[self._x[-1]] = steadying
         if len(self.t):
@@ -225,7 +224,7 @@ class Program:
     def _bind(self, request: Request) -> None:
         """Set the data of the next solves from state and goals."""
         problem, state, goals = self.problem, request.state, request.goals
-        weights, seen = position_weights(problem), goals - state.position
+        weights, seen = motion_weights(problem)[:-1], goals - state.position
         steadying, wanted = turning_weights(problem)[1], knowns(state, goals)[3]
         constant = float(np.sum(weights[:, None] * seen * seen)) + first_length(problem, state)
         constant += steadying * float(wanted @ wanted)
