@@ -26,14 +26,9 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope='module')
-def policy():
-    return ElementTree.parse(POLICY).getroot()
-
-
-def granted(policy, node):
+def granted(node):
     """Return the full names granted to a node, by kind of endpoint."""
-    (profile,) = policy.iterfind(f".//profile[@node='{node}']")
+    (profile,) = ElementTree.parse(POLICY).iterfind(f".//profile[@node='{node}']")
     found = {kind: set() for kind in KINDS.values()}
     for rules in profile:
         for rule in rules.attrib:
@@ -92,8 +87,8 @@ def endpoints(shared, tmp_path_factory):
 
 
 @pytest.mark.parametrize('node', ['planner', 'sim', 'recorder'])
-def test_a_node_is_granted_exactly_what_it_uses(policy, endpoints, node):
-    allowed = granted(policy, node)
+def test_a_node_is_granted_exactly_what_it_uses(endpoints, node):
+    allowed = granted(node)
     if node == 'sim' and find_spec('tf2_msgs') is None:
         allowed['publisher'].discard('/tf')  # published only where tf2_msgs is installed
     assert endpoints[0][node] == allowed
