@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_722,
-    'orbimpc_ros/mpc': 14_726,
+    'orbimpc_ros': 28_737,
+    'orbimpc_ros/mpc': 14_741,
     'orbimpc_ros/loop': 3_258,
     'orbimpc_ros/ros': 4_164,
     'orbimpc_ros/sim': 2_388,

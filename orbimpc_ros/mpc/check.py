@@ -19,7 +19,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.clearance import clearances
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, exp, margin
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, margin
 from orbimpc_ros.mpc.model.dynamics import Trajectory
 from orbimpc_ros.mpc.model.translation import step_of
 from orbimpc_ros.mpc.problem import Problem, State
@@ -345,7 +345,7 @@ def command_violations(
         planned = max(along, min(planned, slowest))
     if abs(command.speed_fraction - planned) > TOLERANCE:
         found.append('the commanded speed is not that of the plan')
-    turned = start @ exp(problem.step * command.body_rate)
+    turned = start @ _rotation_by(problem.step * command.body_rate)
     if np.abs(turned - command.rotation).max() > ORTHOGONAL:
         found.append('the commanded rotation does not match the commanded rate')
     left, whole = _angle_between(command.rotation, end), _angle_between(start, end)
@@ -358,6 +358,21 @@ def command_violations(
 def _angle_between(a: Array, b: Array) -> float:
     """Return the angle of the rotation between two others [rad], from |a - b|_F."""
     return 2.0 * math.asin(min(1.0, float(np.linalg.norm(a - b)) / math.sqrt(8.0)))
+
+
+def _rotation_by(turn: Array) -> Array:
+    """Return the rotation by a vector, shape (1,) or (3,) [rad], by Rodrigues' formula.
+
+    The map that commands are made with is not used to check them.
+    """
+    if len(turn) == 1:
+        c, s = math.cos(turn[0]), math.sin(turn[0])
+        return np.array([[c, -s], [s, c]])
+    x, y, z = turn
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = np.sinc(0.5 * angle / math.pi)
+    return np.eye(3) + np.sinc(angle / math.pi) * cross + 0.5 * half * half * cross @ cross
 
 
 def flaw(
