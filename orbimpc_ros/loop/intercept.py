@@ -429,8 +429,7 @@ class Interception:
         the next one may end near the goal if its defect is as here.
         """
         found, aims, problem = MISSED, goals, self.problem(end, narrow)
-        posed = replace(query.task, problem=problem)
-        posed = replace(posed, solver_for=lambda _: self.solver(end, narrow))
+        posed = replace(query.task, problem=problem, solver_for=lambda _: self.solver(end, narrow))
         for _ in range(TRIES):
             if query.late():
                 return found

@@ -261,13 +261,11 @@ class Planner:
         That takes longer than most solves: call this when the command has been sent.
         """
         memory = self._memory
-        if memory.last is None:
-            return
         if self._shrinking:
             count, step = self._steps(memory.flown + 1.0)
             if count and step == self.problem.step:  # shortened steps differ each time
                 self._solver_for(replace(self.problem, horizon=count))
-        elif self._interception is not None:
+        elif self._interception is not None and memory.last is not None:
             end = (memory.catch - memory.last) / self.problem.step
             self._interception.prepare(end - memory.passed)
 
@@ -386,10 +384,12 @@ class Planner:
         count, step = self._steps(memory.flown)
         if not count:
             return None
-        solver = self._solver_for(replace(self.problem, horizon=count, step=step))
+        problem = self.problem
+        if self._shrinking:  # the solver's is equal, and what follows from it is known already
+            problem = self._solver_for(replace(problem, horizon=count, step=step)).problem
         before, since = memory.decision, memory.passed * self.problem.step
         pace = before.problem.step if before and before.problem else self.problem.step
-        known, plan = (solver.problem, state, np.zeros((0, 0))), before.plan if before else None
+        known, plan = (problem, state, np.zeros((0, 0))), before.plan if before else None
         return Task(*known, self._solver_for, plan, pace, since, self._projection, late)
 
     def _planned(self, given: Array | GoalMotion | None, start: PlanStart, task: Task) -> Decision:
@@ -400,7 +400,8 @@ class Planner:
         motion = None if isinstance(given, np.ndarray) else given
         if isinstance(motion, Route):
             motion = self._paced(motion, odometry)
-        goals = sealed(np.array(given if motion is None else motion.at(ends), dtype=float))
+        goals = np.array(given if motion is None else motion.at(ends), dtype=float)
+        goals.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, goals)
         task = replace(task, goals=goals)
         held, catch = '', None
