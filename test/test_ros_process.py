@@ -15,6 +15,7 @@ from orbimpc_ros.ros.parameters.planner import PLANNER
 from orbimpc_ros.ros.process import executor_named
 from orbimpc_ros.sim.parameters import SIM
 
+FILE = '--ros-args', '--params-file'
 BROKEN = """
     import sys, time
     from types import SimpleNamespace
@@ -71,8 +72,10 @@ def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, 
     [
         ('planner', ['--params-file', 'x.yaml'], 'x.yaml must follow --ros-args; allowed: --ros'),
         ('sim', ['--ros-args', '-p', 'step:=0.1', '--', 'boat.yaml'], 'boat.yaml'),
-        ('sim', ['--ros-args', '--params-file', 'x.yaml'], '^x.yaml: no such file; --params-file'),
+        ('sim', [*FILE, 'x.yaml'], '^x.yaml: unreadable; No such file'),
         ('sim', ['--ros-args', '--params', 'x.yaml'], '--params x.yaml; allowed: .* --params-file'),
+        ('planner', [*FILE, f'{ROOT}/Makefile'], 'Makefile: unreadable; .* line [0-9]+'),
+        ('planner', [*FILE, f'{ROOT}/config/studies/paper.yaml'], 'not a parameter file; '),
     ],
 )
 def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, said):

@@ -24,9 +24,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from itertools import dropwhile, pairwise
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, ClassVar
 
 import rclpy
@@ -449,7 +447,7 @@ def run(node_type: type[Managed]) -> int:
     os.environ.setdefault(RANGE, 'LOCALHOST')
     leave_at_signals()
     try:
-        _require_files()
+        spec.given_sections()
         with ExitStack() as stack:
             try:
                 stack.enter_context(get_default_context())  # unlike rclpy.init, without signals
@@ -489,13 +487,6 @@ def _ended(error: object, code: int) -> int:
         line = f'{line} ({SECURITY}=true needs {needs})'
     print(line, file=sys.stderr)
     return code
-
-
-def _require_files() -> None:
-    """Reject a missing parameter file in one line; rcl would log its parser's error, too."""
-    for flag, word in pairwise(dropwhile('--ros-args'.__ne__, sys.argv)):
-        if flag == '--params-file' and not Path(word).exists():
-            raise BadInput.stating(word, 'no such file', '--params-file is to name one')
 
 
 def _require_ros_words(node_type: type[Managed]) -> None:

@@ -72,9 +72,8 @@ AUTOPILOTS: Mapping[str, Mapping[str, str]] = {
         'odom': '/mavros/local_position/odom',
         'cmd_vel': '/mavros/setpoint_velocity/cmd_vel',
     },
-    'rover': {},
-    'px4': {},  # wings, like arduplane; the parameter autopilot selects the autopilot's own topics
-    'arduplane': {},
+    # The parameter autopilot selects the own topics of wings, px4 and arduplane.
+    **{name: {} for name in ('rover', 'px4', 'arduplane')},
 }
 
 

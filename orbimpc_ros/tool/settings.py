@@ -138,11 +138,7 @@ def parameters_of(content: Any, name: str, namespace: str = '') -> Iterator[tupl
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
     """
-    found = list(sections(content))
-    if not found and content != {}:
-        needed = 'sections with ros__parameters are needed'
-        raise BadInput.stating(name, 'not a parameter file', needed)
-    for title, section in found:
+    for title, section in sections(content, name):
         place, _, node = title.rpartition('/')
         if namespace and place not in ('', '/**', namespace):
             continue

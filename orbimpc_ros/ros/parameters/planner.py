@@ -257,9 +257,6 @@ def planner_settings(values: Values) -> PlannerSettings:
     for name, given, refused, allowed in _combinations(settings):
         if refused:
             raise BadInput(name, given, allowed)
-    for topic in settings.avoid:
-        if not TOPIC.fullmatch(topic):
-            raise BadInput('avoid', topic, 'names of topics, such as /uav2/plan')
     for made in ('problem', 'approach', 'disturbance', 'frames', 'stated_transforms'):
         getattr(settings, made)  # raises if invalid
     return settings
@@ -269,6 +266,8 @@ def _combinations(s: PlannerSettings) -> list[tuple[str, object, bool, str]]:
     """Return incompatible values: parameter, value, whether it is refused, and allowed ones."""
     thrust, intercepts = s.translation_order == 2, s.objective == 'intercept'
     return [
+        *(('avoid', topic, not TOPIC.fullmatch(topic), 'names of topics, such as /uav2/plan')
+            for topic in s.avoid),
         ('plan_period', s.plan_period, s.plan_period > s.step, f'at most a step, {s.step:g} s'),
         ('deadline', s.deadline, s.deadline > 0.5 * s.period,
             f'at most half a period, {0.5 * s.period:g} s'),

@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib import import_module
-from itertools import pairwise
+from itertools import dropwhile, pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -131,7 +131,9 @@ class ParameterSpec:
         elif self.kind is Type.DOUBLE and type(value) is int:
             value = float(value)
         if not self.kind.check(value) or isinstance(value, bool) != (self.kind is Type.BOOL):
-            raise BadInput(self.name, value, self.allowed)
+            raise BadInput(
+                self.name, repr(value) if isinstance(value, str) else value, self.allowed
+            )
         return value
 
     def checked(self, value: Any) -> Any:
@@ -212,25 +214,49 @@ def unused(full: str, kind: str) -> list[str]:
     name = full.rpartition('/')[2]
     known = {name, '*', '**', *NODES} - ({kind} - {name})
     found = []
+    for section, file in given_sections():
+        if section.rpartition('/')[2] not in known or f'/{name}' == section != full:
+            found.append(f'section {section} in {file}')
     for flag, word in pairwise(sys.argv):
-        if flag == '--params-file':
-            # rcl has parsed it; its tags matter no more here than there.
-            tree = yaml.load(Path(word).read_text(errors='replace'), yaml.BaseLoader)
-            for section, _ in sections(tree):
-                if section.rpartition('/')[2] not in known or f'/{name}' == section != full:
-                    found.append(f'section {section} in {word}')
         owner, colon, _ = word.partition(':=')[0].rpartition(':')
         if flag in ('-p', '--param') and colon and f'/{owner}' != full:
             found.append(f'-p {word}')
     return found
 
 
-def sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield sections, possibly nested by namespace: names with a leading slash, and values."""
+def given_sections() -> list[tuple[str, str]]:
+    """Return the sections of this process's parameter files, each with its file.
+
+    Raises:
+        BadInput: a file cannot be read or has none; rcl would also log its parser's error.
+    """
+    found = []
+    for flag, file in pairwise(dropwhile('--ros-args'.__ne__, sys.argv)):
+        if flag == '--params-file':
+            try:
+                with Path(file).open(errors='replace') as stream:
+                    tree = yaml.load(stream, yaml.BaseLoader)  # tags are ignored, as in rcl
+            except (OSError, yaml.YAMLError) as error:
+                why = ' '.join((getattr(error, 'strerror', None) or str(error)).split())
+                raise BadInput.stating(file, 'unreadable', why) from None
+            found += [(title, file) for title, _ in sections(tree or {}, file)]
+    return found
+
+
+def sections(tree: Any, file: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return sections, possibly nested by namespace: names with a leading slash, and values."""
+    found = list(_sections(tree))
+    if found or tree == {}:
+        return found
+    needed = 'sections such as "/**: {ros__parameters: {step: 0.5}}" are needed'
+    raise BadInput.stating(file, 'not a parameter file', needed)
+
+
+def _sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name != PARAMETERS:
-            yield from sections(below, f'{above}/{str(name).strip("/")}')
-        elif isinstance(below, dict):
+            yield from _sections(below, f'{above}/{str(name).strip("/")}')
+        elif above and isinstance(below, dict):
             yield above, below
 
 

@@ -202,7 +202,7 @@ class Inputs:
             raise BadInput('duplicate stamp', stamp, INCREASING)
         # Once the last one is stale, an older stamp means that the sender's clock was set back.
         if stamp < before and fresh:
-            raise BadInput('reordered stamp', stamp, INCREASING)
+            raise BadInput('reordered stamp', f'{(before - stamp) / SECOND:.3g} s back', INCREASING)
 
     def _require_near(self, topic: str, stamp: Stamp, value: Any, *, fresh: bool) -> None:
         """Reject a goal that jumps; once the last one is stale, the new one is accepted."""

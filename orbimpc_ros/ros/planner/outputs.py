@@ -205,7 +205,6 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
     at_odometry = settings.trigger == 'odom'
     parts = [
         *_vehicle(settings),
-        *_surroundings(settings),
         f'{problem.step:g} s x {problem.horizon}',
         problem.discretisation == 'exact' and 'integrated exactly',
         f'{problem.dimension}D',
@@ -263,25 +262,11 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
 
 
 def _vehicle(settings: PlannerSettings) -> list[object]:
-    """Describe full speed or thrust, and the limits of the vehicle."""
-    problem, unit = settings.problem, _unit(settings.problem)
+    """Describe full speed or thrust, limits, and influences that the vehicle cannot counteract."""
+    problem, gravity = settings.problem, settings.gravity
+    unit = 'm/s' if problem.translation_order == 1 else 'm/s^2'
     least = problem.least_speed * problem.forward
     degrees, slope = math.degrees(problem.max_rate), math.degrees(problem.glide_slope)
-    return [
-        f'{problem.forward:g} {unit}',
-        problem.translation_order == 2 and f'{settings.mass:g} kg',
-        problem.floor.exists and f'at least {least:.4g} {unit} ({problem.floor})',
-        problem.max_rate and f'at most {degrees:.4g} deg/s',
-        problem.max_acceleration and f'at most {problem.max_acceleration:.4g} m/s^2',
-        problem.tilt and f'tilted by at most {math.degrees(problem.tilt):.4g} deg',
-        problem.glide_slope and f'above a glide slope of {slope:.4g} deg',
-    ]
-
-
-def _surroundings(settings: PlannerSettings) -> list[object]:
-    """Describe external influences on the vehicle, and its inability to counteract them."""
-    problem, gravity, unit = settings.problem, settings.gravity, _unit(settings.problem)
-    least = problem.least_speed * problem.forward
     hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
     if least > gravity:
         hover = f'cannot hover: its least thrust is {least:.4g}'
@@ -296,20 +281,23 @@ def _surroundings(settings: PlannerSettings) -> list[object]:
         known = settings.disturbance
         needed = math.atan2(math.hypot(*known[:2]), -known[2])
         if needed > problem.tilt:
-            degrees = f'{math.degrees(needed):.4g} deg'
-            blown += f', staying at a goal takes a tilt of {degrees}: more than allowed'
+            tilt = f'{math.degrees(needed):.4g} deg'
+            blown += f', staying at a goal takes a tilt of {tilt}: more than allowed'
     slip = ', with sideslip' if settings.sideslip else ''
     return [
+        f'{problem.forward:g} {unit}',
+        problem.translation_order == 2 and f'{settings.mass:g} kg',
+        problem.floor.exists and f'at least {least:.4g} {unit} ({problem.floor})',
+        problem.max_rate and f'at most {degrees:.4g} deg/s',
+        problem.max_acceleration and f'at most {problem.max_acceleration:.4g} m/s^2',
+        problem.tilt and f'tilted by at most {math.degrees(problem.tilt):.4g} deg',
+        problem.glide_slope and f'above a glide slope of {slope:.4g} deg',
         gravity and f'gravity {gravity:g} {unit}: {hover}',
         settings.hover_thrust and f'sent as {settings.hover_thrust:g} on thrust',
         blown,
         settings.frames.velocity == 'world' and 'velocities in the world frame',
         settings.velocity_source == 'air' and f'odometry through the air{slip}',
     ]
-
-
-def _unit(problem: Problem) -> str:
-    return 'm/s' if problem.translation_order == 1 else 'm/s^2'
 
 
 def _ageing(settings: PlannerSettings) -> str:

@@ -192,8 +192,8 @@ class Wing(ABC):
         line = f'{self.name}: {problem}'
         self._node.get_logger().warning(line, throttle_duration_sec=QUIET)
 
-    def _listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
-        self._node.create_subscription(kind, topic, self._node.guard(callback), LATEST)
+    def _listen(self, kind: type, topic: str, callback: Callable[..., None], *known: str) -> None:
+        self._node.create_subscription(kind, topic, self._node.guard(callback, *known), LATEST)
 
     def _airspeed_is(self, true: float) -> None:
         """Take in the true airspeed [m/s]; it is unknown unless positive."""
@@ -239,12 +239,13 @@ class Px4(Wing):
         self._share, self._origin = 1.0, math.nan
         for kind, callback in (
             (types.VehicleLocalPosition, self._on_position),
-            (types.VehicleAttitude, self._on_attitude),
             (types.AirspeedValidated, self._on_airspeed),
             (types.Wind, self._on_wind),
             (types.VehicleStatus, self._on_status),
         ):
             self._listen(kind, _topic('fmu/out', kind), callback)
+        kind = types.VehicleAttitude
+        self._listen(kind, _topic('fmu/out', kind), self._note, 'attitude')
 
     @cached_property
     def _publishers(self) -> dict[type, Publisher]:
@@ -253,9 +254,6 @@ class Px4(Wing):
         setpoints = types.FixedWingLateralSetpoint, types.FixedWingLongitudinalSetpoint
         kinds = types.OffboardControlMode, *setpoints
         return {kind: create(kind, _topic('fmu/in', kind), qos()) for kind in kinds}
-
-    def _on_attitude(self, message: Any) -> None:
-        self._note('attitude', message)
 
     def _on_position(self, message: Any) -> None:
         other, stamp = self._last('attitude', FRESH), message.timestamp_sample
