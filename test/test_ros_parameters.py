@@ -139,7 +139,7 @@ def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
 
 BAD_STARTS = [
     ('planner', {'horizn': 5}, "unknown parameter 'horizn'; did you mean 'horizon' or "),
-    ('sim', {'rope.center': 'here'}, 'rope.center is here; allowed: a list of numbers'),
+    ('sim', {'rope.center': 'here'}, "rope.center is 'here'; allowed: a list of numbers"),
     ('planner', {'use_sim_time': 1}, "'1' of type 'INTEGER', expecting type 'BOOL'"),
     ('sim', {'qos_overrides./cmd_vel.publisher.depth': 5}, "unknown parameter 'qos_overrides."),
 ]
@@ -227,7 +227,7 @@ def test_live_changes_are_made_whole(running):
         ({'weights.input': 0.3, 'floor.fraction': 0.9}, 'floor.fraction is 0.9; allowed: '),
         ({'weights.input': math.nan}, 'weights.input'),
         ({'weights.input': -1.0}, 'weights.input'),
-        ({'weights.input': 'heavy'}, 'weights.input is heavy; allowed: a number'),
+        ({'weights.input': 'heavy'}, "weights.input is 'heavy'; allowed: a number"),
         ({'weights.input': 0.3, 'horizon': 7}, 'read-only'),
         ({'obstacles': [1.0, 2.0]}, 'obstacles'),
         ({'use_sim_time': True}, 'use_sim_time'),

@@ -99,7 +99,7 @@ def test_problems_that_are_the_same_cost_the_same(solve, same):
 
 
 BALL, BOX = {'centre': [2.0, 0.0], 'radius': 0.5}, {'min': [0, 3], 'max': [1, 4]}
-SPACE = {'centre': [2, 0, 0], 'radius': 1}
+SPACE, MOVING = {'centre': [2, 0, 0], 'radius': 1}, {**BALL, 'velocity': [0, 1]}
 # Errors that only files can have; out of range values are refused elsewhere.
 BAD = {
     'missing horizon': ({'horizon': ...}, 'horizon'),
@@ -121,18 +121,18 @@ BAD = {
     'obstacles not a list': ({'obstacles': {'min': [0, 0], 'max': [1, 1]}}, 'obstacles'),
     'obstacle without max': ({'obstacles': [{'min': [0.0, 0.0]}]}, 'max'),
     'ball without radius': ({'obstacles': [{'centre': [2.0, 0.0]}]}, 'obstacles'),
-    'hazards not a list': ({'hazards': {}}, 'hazards is {}'),
+    'second hazard': ({'hazards': [MOVING, {**MOVING, 'radius': -1}]}, 'hazards[1].radius is -1'),
     'hazard a number': ({'hazards': [5]}, 'hazards[0] is 5'),
     'hazard without velocity': ({'hazards': [BALL]}, 'hazards[0] field velocity'),
     'hazard without shifts': ({'hazards': [{**BOX, 'times': [0, 1]}]}, 'hazards[0] field shifts'),
     'velocity too short': ({'hazards': [{**BALL, 'velocity': [1.0]}]}, 'hazards[0].velocity'),
     'hazard in space': ({'hazards': [{**SPACE, 'velocity': [1, 0, 0]}]}, 'hazards is 3'),
     'approach without cone': ({'approach': {'direction': [0.0, 1.0]}}, 'approach'),
-    'cone a word': ({'approach': {'cone': 'x'}}, 'approach'),
+    'approach of no goal': ({'approach': {'cone': 0.3}}, 'goal_attitude'),
+    'cone a number in quotes': ({'approach': {'cone': '0.3'}}, "approach.cone is '0.3'"),
     'direction a word': ({'approach': {'cone': 0.3, 'direction': 'north'}}, 'approach'),
     'attitude too small': ({'goal_attitude': [[1.0, 0.0]]}, 'goal_attitude'),
     'attitude no rotation': ({'goal_attitude': [[2.0, 0.0], [0.0, 2.0]]}, 'state.wanted'),
-    'attitude a word': ({'goal_attitude': 'north'}, 'goal_attitude'),
     'corner cutting a word': ({'no_corner_cutting': 'yes'}, 'no_corner_cutting'),
 }
 

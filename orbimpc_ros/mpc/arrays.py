@@ -59,7 +59,7 @@ def number(
                 return result
     first = '(' if above or low == -math.inf else '['  # infinity itself is not allowed
     last = ')' if high == math.inf else ']'
-    raise BadInput(culprit, value, f'a number in {first}{low:g}, {high:g}{last}')
+    raise BadInput(culprit, repr(value), f'a number in {first}{low:g}, {high:g}{last}')
 
 
 def whole(value: Any, culprit: str, low: int, high: int) -> int:
@@ -69,9 +69,9 @@ def whole(value: Any, culprit: str, low: int, high: int) -> int:
         BadInput: not an integer or out of range.
     """
     is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not (is_whole and low <= value <= high):
-        raise BadInput(culprit, value, f'an integer in [{low}, {high}]')
-    return int(value)
+    if is_whole and low <= value <= high:
+        return int(value)
+    raise BadInput(culprit, repr(value), f'an integer in [{low}, {high}]')
 
 
 def fields_of(

@@ -26,7 +26,8 @@ class BadInput(OrbimpcError, ValueError):
 
     def __init__(self, culprit: str, value: object, allowed: str, text: str = '') -> None:
         self.culprit, self.value, self.allowed = culprit, value, allowed
-        shown = _in_short(value if isinstance(value, str) else repr(value))
+        plain = [*value] if isinstance(value, tuple) else value  # as in YAML
+        shown = _in_short(plain if isinstance(plain, str) else repr(plain))
         super().__init__(text or f'{culprit} is {shown}; allowed: {allowed}')
 
     @classmethod

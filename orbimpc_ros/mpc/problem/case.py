@@ -26,7 +26,6 @@ from orbimpc_ros.mpc.problem.problem import weighed
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward')
 EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation',
           'tilt', 'glide_slope')  # fmt: skip
-PARTS = ('floor', 'obstacles', 'approach')
 BODIES = 'boxes {min, max} and balls {centre, radius}'
 T = TypeVar('T')
 Names = tuple[str, ...]
@@ -74,7 +73,7 @@ def case_of(mapping: Any) -> Case:
         BadInput: a field is unknown, missing, of another type or out of range.
     """
     needed = (*MODEL, 'weights', 'state', 'goal')
-    optional = (*EXTRAS, *PARTS, 'hazards', 'goal_attitude')
+    optional = (*EXTRAS, 'floor', 'obstacles', 'approach', 'hazards', 'goal_attitude')
     known = fields_of(mapping, 'case', needed, optional)
     problem = _problem(known)
     hazards = _each(known.get('hazards', []), 'hazards', _hazard)
@@ -85,13 +84,15 @@ def case_of(mapping: Any) -> Case:
 def _problem(known: Mapping[str, Any]) -> Problem:
     weights = dict(fields_of(known['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
     scaling = weights.pop('scaling', 'paper')
+    cone = fields_of(known.get('approach', {'cone': 0.0}), 'approach', ('cone',), ('direction',))
+    direction = numbers_of(cone.get('direction', []), 'approach.direction')
     plain = {name: known[name] for name in (*MODEL, *EXTRAS) if name in known}
     problem = Problem(
         **plain,
         weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),
         floor=_floor(known.get('floor', {'shape': 'none'})),
         obstacles=_each(known.get('obstacles', []), 'obstacles', body_of),
-        approach=_approach(known.get('approach', {'cone': 0.0})),
+        approach=Approach(cone['cone'], tuple(direction)),
     )
     return weighed(problem, scaling)
 
@@ -102,16 +103,14 @@ def _floor(value: Any) -> Floor:
     return Floor(**fields_of(known, 'floor', ('shape', *needed), tuple(known)))
 
 
-def _approach(value: Any) -> Approach:
-    known = fields_of(value, 'approach', ('cone',), ('direction',))
-    direction = numbers_of(known.get('direction', []), 'approach.direction')
-    return Approach(known['cone'], tuple(direction))
-
-
 def _each(value: Any, culprit: str, made: Callable[[Any, str], T]) -> tuple[T, ...]:
     if not isinstance(value, list):
         raise BadInput(culprit, value, f'a list of {BODIES}')
-    return tuple(made(each, f'{culprit}[{i}]') for i, each in enumerate(value))
+    try:
+        return tuple(made(each, name := f'{culprit}[{i}]') for i, each in enumerate(value))
+    except BadInput as error:  # a body's own errors do not tell which it is
+        text = str(error).replace('obstacles.', f'{name}.', 1)
+        raise BadInput(error.culprit, error.value, error.allowed, text) from None
 
 
 def body_of(value: Any, culprit: str, needed: Names = (), optional: Names = ()) -> Box | Ball:

@@ -237,7 +237,7 @@ class Solver:
         if self._coasting and state.coasted is None:
             raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
         if self.problem.wants_attitude and state.wanted is None:
-            raise BadInput('state.wanted', None, 'a rotation: the problem asks for one at its end')
+            raise BadInput('state.wanted', None, 'a rotation, in a file goal_attitude, for its end')
         goals = _floats(goals, (self.problem.horizon, self.problem.dimension), 'goals')
         if isinstance(guess, Plan):
             guess = guess.x[1:] if guess.x[1:].shape == self._shape else None
