@@ -65,7 +65,8 @@ class StrictLoader(yaml.SafeLoader):
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Compose a node, unless it is an alias."""
         if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, 'aliases are not accepted')
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, 'aliases are not accepted', mark)
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
@@ -127,7 +128,7 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
     """Return a mapping of pairs, unless a key is duplicated."""
     ((key, count),) = Counter(str(key) for key, _ in pairs).most_common(1) or [('', 0)]
     if count > 1:
-        raise BadInput.stating(f'field {key}', 'given twice', 'give every field once')
+        raise ValueError(f'field {key} given twice')
     return dict(pairs)
 
 
@@ -150,8 +151,8 @@ def _require_plain(value: Any, path: str = '') -> None:
 # --- results
 
 
-def folder_at(path: Path) -> Path:
-    """Return a folder for results, created if it is missing.
+def folder_at(path: Path, option: str = '--out') -> Path:
+    """Return a folder for the results of an option, created if it is missing.
 
     Raises:
         BadInput: it cannot be created.
@@ -159,7 +160,7 @@ def folder_at(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise BadInput.stating(f'--out {path}', why(error), WRITABLE) from None
+        raise BadInput.stating(f'{option} {path}', why(error), WRITABLE) from None
     return path
 
 

@@ -28,6 +28,8 @@ def run(
 ) -> int:
     """Solve the problem and print its plan."""
     number(time_limit, '--time-limit', 0.0, above=True)
+    if certificate:
+        files.folder_at(Path(certificate).parent, '--certificate')
     case = case_of(files.read(file))
     solver = Solver(case.problem, projection=projection, patient=True)
     if case.state.hazards:

@@ -58,18 +58,14 @@ class Row(NamedTuple):
         return f'{name}{self.of:<7}{claimed}{proved}{self.leaves:>6}  {self.outcome}{self.more}'
 
 
-def run(
-    path: str,
-    problem: str | None,
-    tick: int | None,
-    namespace: str,
-    params: str | None,
-    out: str | None,
-) -> int:
+def run(path: str, problem: str | None, **of_bag: Any) -> int:
     """Verify, print a row for each bound, and return 1 if one of them does not hold."""
     of_file, counts = path.endswith('.json'), Counter[str]()
-    bag = Path(path), namespace, params, tick, out
-    for row in [_file(Path(path), problem)] if of_file else _bag(*bag):
+    for name, given in of_bag.items() if of_file else [('problem', problem)]:
+        if given not in (None, ''):
+            source = 'a bag' if of_file else 'a certificate, FILE.json'
+            raise BadInput(f'--{name}', given, f'only with {source}')
+    for row in [_file(Path(path), problem)] if of_file else _bag(Path(path), **of_bag):
         if not counts:  # no header above an error about the file
             print(f'{"" if of_file else "  tick  "}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
         counts[row.outcome] += 1
