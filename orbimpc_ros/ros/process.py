@@ -455,8 +455,9 @@ def run(node_type: type[Managed]) -> int:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
                 hint = f'allowed: {KNOWN_WORDS}'
                 raise BadInput.stating('command line', unknown, hint) from None
-            except RuntimeError as error:  # malformed rule or parameter file
-                return _ended(error, BAD_INPUT)
+            except RuntimeError as error:  # malformed rule, parameter file or domain
+                hint = f'; allowed: {KNOWN_WORDS}' if 'rule' in str(error) else ''
+                return _ended(f'{error}{hint}', BAD_INPUT)
             _require_ros_words(node_type)
             stack.enter_context(warnings.catch_warnings())
             warnings.simplefilter('ignore', RuntimeWarning)  # failures of rclpy's own cleanup

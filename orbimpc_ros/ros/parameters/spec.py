@@ -187,7 +187,6 @@ def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
 
 OF_ROS = ('use_sim_time', 'start_type_description_service')
 PARAMETERS = 'ros__parameters'
-NODES = ('planner', 'sim')  # one file may serve both
 TABLES = ('ros.parameters.planner', 'PLANNER'), ('sim.parameters', 'SIM')
 
 
@@ -212,7 +211,7 @@ def unused(full: str, kind: str) -> list[str]:
         kind: its name unless it is remapped.
     """
     name = full.rpartition('/')[2]
-    known = {name, '*', '**', *NODES} - ({kind} - {name})
+    known = {name, '*', '**', 'planner', 'sim'} - ({kind} - {name})  # one file may serve both
     found = []
     for section, file in given_sections():
         if section.rpartition('/')[2] not in known or f'/{name}' == section != full:

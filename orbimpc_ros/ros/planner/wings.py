@@ -237,15 +237,14 @@ class Px4(Wing):
     def _connect(self) -> None:
         types = self._types
         self._share, self._origin = 1.0, math.nan
-        for kind, callback in (
+        for kind, *callback in (
             (types.VehicleLocalPosition, self._on_position),
+            (types.VehicleAttitude, self._note, 'attitude'),
             (types.AirspeedValidated, self._on_airspeed),
             (types.Wind, self._on_wind),
             (types.VehicleStatus, self._on_status),
         ):
-            self._listen(kind, _topic('fmu/out', kind), callback)
-        kind = types.VehicleAttitude
-        self._listen(kind, _topic('fmu/out', kind), self._note, 'attitude')
+            self._listen(kind, _topic('fmu/out', kind), *callback)
 
     @cached_property
     def _publishers(self) -> dict[type, Publisher]:
