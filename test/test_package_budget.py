@@ -5,10 +5,10 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_732,
-    'orbimpc_ros/mpc': 14_741,
+    'orbimpc_ros': 28_750,
+    'orbimpc_ros/mpc': 14_758,
     'orbimpc_ros/loop': 3_258,
-    'orbimpc_ros/ros': 4_164,
+    'orbimpc_ros/ros': 4_165,
     'orbimpc_ros/sim': 2_388,
     'orbimpc_ros/tool': 4_054,
     'benchmarks': 3_351,

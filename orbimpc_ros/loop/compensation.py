@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, number
+from orbimpc_ros.mpc.arrays import Array, Sealed, number
 from orbimpc_ros.mpc.geometry.rotations import exp, log, turned
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
@@ -37,7 +37,7 @@ NOISE = 0.05  # of full speed: smaller excesses over the range are not reported
 
 
 @dataclass(frozen=True, eq=False)
-class Odometry(ByContent):
+class Odometry(Sealed):
     """A measurement of the vehicle's motion.
 
     Attributes:
@@ -56,7 +56,7 @@ class Odometry(ByContent):
 
 
 @dataclass(frozen=True, eq=False)
-class WindReport(ByContent):
+class WindReport(Sealed):
     """A wind estimate from an external source."""
 
     time: float  # stamp [s]

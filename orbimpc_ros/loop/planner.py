@@ -33,11 +33,11 @@ from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
-from orbimpc_ros.mpc.plan import Command, Plan, command_of, interpolated
+from orbimpc_ros.mpc.plan import Command, Plan, command_of, interpolated, joined
 from orbimpc_ros.mpc.problem import Approach, MovingObstacle, Problem, State
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import clamp_goal, entry_speed, held_goal, moved_towards
-from orbimpc_ros.mpc.solve.solver import Answer, Late, Solver, Task, joined
+from orbimpc_ros.mpc.solve.solver import Answer, Late, Solver, Task
 
 if TYPE_CHECKING:  # proofs are loaded by the first decision that needs one
     from orbimpc_ros.mpc.proof.document import Document

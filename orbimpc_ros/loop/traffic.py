@@ -22,7 +22,7 @@ import numpy as np
 
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import slope
-from orbimpc_ros.mpc.arrays import Array, ByContent
+from orbimpc_ros.mpc.arrays import Array, ByContent, Sealed
 from orbimpc_ros.mpc.clearance import clearances
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import MAX_HAZARDS, Ball, Box, MovingObstacle, Problem, State
@@ -116,7 +116,7 @@ def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:
 
 
 @dataclass(frozen=True, eq=False)
-class AgentTrajectory(ByContent):
+class AgentTrajectory(Sealed):
     """A plan of another vehicle."""
 
     time: float  # when it was made [s]

@@ -107,12 +107,7 @@ def _is_number(value: Any) -> bool:
 
 
 class ByContent:
-    """Frozen dataclasses whose arrays are read-only, too; equality and hash are by content."""
-
-    def __post_init__(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                sealed(value)
+    """Equality and hash by content for frozen dataclasses with arrays, which support neither."""
 
     def _content(self) -> tuple[object, ...]:
         values = (getattr(self, each.name) for each in fields(self))  # type: ignore[arg-type]
@@ -125,6 +120,15 @@ class ByContent:
 
     def __hash__(self) -> int:
         return hash((type(self), self._content()))
+
+
+class Sealed(ByContent):
+    """Frozen dataclasses whose arrays are read-only."""
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
 
 
 def _comparable(value: object) -> object:

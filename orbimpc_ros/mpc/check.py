@@ -149,7 +149,7 @@ def step_margins(
     """
     found, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        outward = problem.floor.normals(problem.dimension)
+        outward = problem.floor_normals
         above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
         found['floor'] = above - problem.floor.fraction
     if problem.max_rate:

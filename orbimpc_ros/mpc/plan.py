@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, Sealed
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, matrix, project_all
 from orbimpc_ros.mpc.model.dynamics import Trajectory, flown
 from orbimpc_ros.mpc.outcome import Status
@@ -57,12 +57,14 @@ class Plan(Trajectory, ByContent):
     """A trajectory over N steps with its certificate. All arrays are read-only.
 
     Attributes:
+        x: rotation coordinates of R_0..R_N, shape (N + 1, d).
         projected: R_0..R_N projected to rotations, shape (N + 1, n, n); for R_k e1 = 0, whose
             heading is undefined, the previous one.
         projection: ``nearest`` or ``thrust_aligned``: how ``projected`` was made.
         proof: its lower bound and how it was found.
     """
 
+    x: Array
     projected: Array
     projection: str
     proof: Proof
@@ -71,11 +73,6 @@ class Plan(Trajectory, ByContent):
     def horizon(self) -> int:
         """Return N."""
         return len(self.rotations) - 1
-
-    @cached_property
-    def x(self) -> Array:
-        """Return the rotation coordinates of R_0..R_N, shape (N + 1, d)."""
-        return sealed(coordinates(self.rotations))
 
     @cached_property
     def lower_bound(self) -> float:
@@ -112,7 +109,9 @@ class Plan(Trajectory, ByContent):
     @cached_property
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
-        return sealed(np.linalg.norm(self.rotations[:, :, 0], axis=1))
+        sizes: Array = np.linalg.norm(self.rotations[:, :, 0], axis=1)
+        sizes.setflags(write=False)
+        return sizes
 
     @property
     def projection_distance(self) -> Array:
@@ -127,13 +126,15 @@ def assemble(
 
     Everything else follows from the dynamics, so that the plan is consistent by construction.
     """
-    rotations = matrix(x)
+    rotations, x = matrix(x), np.concatenate([coordinates(state.rotation)[None], x])
     given = [state.attitude]
     if problem.rotation_order == 2 and state.coasted is not None:
         given.append(state.coasted)  # the body turns there whatever the thrust
     turned = project_all(rotations[len(given) - 1 :], given[-1], projection)
     made, projected = flown(problem, state, goals, rotations), np.concatenate([given, turned])
-    return Plan(**vars(made), projected=projected, projection=projection, proof=proof)
+    for array in (made.positions, made.velocities, made.rotations, x, projected):
+        array.setflags(write=False)
+    return Plan(**vars(made), x=x, projected=projected, projection=projection, proof=proof)
 
 
 def interpolated(at: Array, knots: Array, values: Array) -> Array:
@@ -189,7 +190,7 @@ def followed(problem: Problem, state: State, x: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Command(ByContent):
+class Command(Sealed):
     """The next command: a body rate to turn at during the step, and a speed from its end on.
 
     Attributes:
@@ -232,3 +233,8 @@ def command_of(problem: Problem, state: State, plan: Plan) -> Command:
             slowest = entry_speed(problem, state) - problem.speed_change
             fraction = max(along, min(fraction, slowest))
     return Command(fraction, rate, np.array(end))
+
+
+def joined(*reasons: str) -> str:
+    """Return reasons in one line, without empty ones."""
+    return '; '.join(filter(None, reasons))

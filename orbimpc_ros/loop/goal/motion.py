@@ -20,7 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, sealed
+from orbimpc_ros.mpc.arrays import Array, Sealed, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.plan import interpolated
 
@@ -29,7 +29,7 @@ SHARP = 1.2  # ratio of the mean turn rate over a step to its limit, above which
 
 
 @dataclass(frozen=True, eq=False)
-class GoalObservation(ByContent):
+class GoalObservation(Sealed):
     """An observed position of the goal."""
 
     time: float  # stamp [s]

@@ -224,9 +224,10 @@ class Condensed:
 
 def knowns(state: State, goals: Array) -> Array:
     """Return the knowns of the quadratic, shape (N + 4, d): see :class:`Condensed`."""
-    n = state.dimension
-    known = np.zeros((len(goals) + 4, coordinate_count(n)))
-    known[0], known[1, :n] = coordinates(state.rotation), state.velocity
+    n, columns = len(state.position), state.rotation.T.reshape(-1)
+    start = columns[:n] if n == 2 else columns
+    known = np.zeros((len(goals) + 4, len(start)))
+    known[0], known[1, :n] = start, state.velocity
     known[2, :n] = state.disturbance
     if state.wanted is not None:
         known[3] = coordinates(state.wanted)

@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, whole
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed, whole
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import MEMBERSHIP_TOLERANCE, margin, nearest
 from orbimpc_ros.mpc.model.translation import (
@@ -255,6 +255,11 @@ class Problem:
         return max(SLOWEST, self.least_speed)
 
     @cached_property
+    def floor_normals(self) -> Array | None:
+        """Return the unit normals of the floor's half-spaces, shape (m, n); None if it is round."""
+        return self.floor.normals(self.dimension)
+
+    @cached_property
     def has_cones(self) -> bool:
         """Return True if there is a tilt limit or a glide slope."""
         return self.tilt > 0.0 or self.glide_slope > 0.0
@@ -421,12 +426,12 @@ class State(ByContent):
         n = np.size(position)
         if n not in (2, 3):
             raise BadInput('state.position', n, '2 or 3 numbers')
-        line, square, still = (n,), (n, n), np.zeros(n)
+        line, square, still = (n,), (n, n), _zeros((n,))
         given: dict[str, tuple[Any, tuple[int, ...], Array | None]] = {
             'position': (position, line, None),
             'rotation': (rotation, square, None),
             'velocity': (velocity, line, still),
-            'rotation_rate': (rotation_rate, square, np.zeros(square)),
+            'rotation_rate': (rotation_rate, square, _zeros(square)),
             'attitude': (attitude, square, None),
             'coasted': (coasted, square, None),
             'disturbance': (disturbance, line, still),
@@ -437,7 +442,7 @@ class State(ByContent):
             for name, (value, shape, absent) in given.items()
         }
         if attitude is None:
-            made['attitude'] = nearest(made['rotation'])
+            made['attitude'] = sealed(nearest(made['rotation']))
         for name in ('attitude', 'coasted', 'wanted'):
             if made[name] is not None:
                 _require_rotation(made[name], f'state.{name}')
@@ -472,6 +477,12 @@ class State(ByContent):
         found = work_out()
         self._known.append((asked, found))
         return found
+
+
+@lru_cache(maxsize=8)
+def _zeros(shape: tuple[int, ...]) -> Array:
+    """Return zeros shared by all states, since creating and checking arrays costs microseconds."""
+    return sealed(np.zeros(shape))
 
 
 def _require_rotation(matrix: Array, culprit: str) -> None:

@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFai
 from orbimpc_ros.mpc.geometry.rotations import PROJECTIONS, coordinate_count
 from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
 from orbimpc_ros.mpc.outcome import Status
-from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, shifted
+from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, joined, shifted
 from orbimpc_ros.mpc.problem import Problem, State, Weights
 from orbimpc_ros.mpc.problem.cones import told
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
@@ -436,8 +436,3 @@ def _floats(value: Array, shape: tuple[int, ...], culprit: str) -> Array:
     """Return an array of floats as it is, and anything else as one if it is that."""
     fits = isinstance(value, np.ndarray) and (value.dtype, value.shape) == (float, shape)
     return value if fits else frozen(value, shape, culprit)
-
-
-def joined(*reasons: str) -> str:
-    """Return reasons in one line, without empty ones."""
-    return '; '.join(filter(None, reasons))

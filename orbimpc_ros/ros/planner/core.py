@@ -27,7 +27,8 @@ from orbimpc_ros.loop.traffic import MOST, ObservedTraffic, ObstacleTracker, sil
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Reason
-from orbimpc_ros.mpc.solve.solver import Deadline, joined
+from orbimpc_ros.mpc.plan import joined
+from orbimpc_ros.mpc.solve.solver import Deadline
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Stamp, read_obstacle, stamp_of
 from orbimpc_ros.ros.parameters.planner import PlannerSettings
