@@ -36,11 +36,6 @@ WRAPPER = '_ZN7cpython'  # numba's names of functions: wrappers for Python,
 RUNTIME = 'NRT_'  # and those that create, count and free arrays
 MAKING = 'call', 'binop', 'inplace_binop', 'unary', 'arrayexpr'  # arrays, not parts of others
 COMMON: dict[str, Any] = {'error_model': 'numpy', 'no_cfunc_wrapper': True}
-UNNEEDED = (  # passes of numba that change nothing in this package's functions
-    *('WithLifting', 'InlineClosureLikes', 'RewriteDynamicRaises', 'MakeFunctionToJitFunction'),
-    *('InlineInlinables', 'FindLiterallyCalls', 'LiteralUnroll', 'InlineOverloads'),
-    *('LiteralPropagationSubPipelinePass', 'AnnotateTypes', 'DumpParforDiagnostics'),
-)
 USUAL = gc.get_threshold()
 SELDOM = 100_000  # objects between collections while compiling, which took a seventh of its time
 BARE: dict[Callable, Callable] = {}  # by entry point
@@ -136,16 +131,14 @@ class _NativeLowering(NativeLowering):
 
 
 class _Compiler(Compiler):
-    """numba's compiler with another translation of functions, and only the passes they need."""
+    """numba's compiler with another translation of functions."""
 
     def define_pipelines(self) -> list:
         """Return the passes of compiling."""
         (pipeline,) = super().define_pipelines()
-        pipeline.passes[:] = [
-            (_NativeLowering if each is NativeLowering else each, what)
-            for each, what in pipeline.passes
-            if each.__name__ not in UNNEEDED
-        ]
+        for i, (each, what) in enumerate(pipeline.passes):
+            if each is NativeLowering:
+                pipeline.passes[i] = _NativeLowering, what
         return [pipeline]
 
 
@@ -171,11 +164,6 @@ class _Whole(JITCodeLibrary):
         for each in self._final_module.functions:
             if not (each.is_declaration or each.name in entries or each.name.startswith(RUNTIME)):
                 each.linkage = 'internal'
-
-    def _optimize_final_module(self) -> None:
-        """Optimise once; numba would before, too, to count fewer references."""
-        passes, builder = self._codegen._module_pass_manager()
-        passes.run(self._final_module, builder)
 
     def serialize_using_object_code(self) -> tuple:
         """Return the data to cache: the code, and only the names of functions to link."""
@@ -247,13 +235,11 @@ class _KeptCode(FunctionCache):
                 self._lock(LOCK_UN)
             else:
                 gc.set_threshold(SELDOM)
-                context.codegen()._library_class = _Part  # of numba's own functions
         return found
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Cache compiled code."""
         super().save_overload(signature, data)
-        data.target_context.codegen()._library_class = JITCodeLibrary
         self._lock(LOCK_UN)
         gc.set_threshold(*USUAL)
 
