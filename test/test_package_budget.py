@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_750,
-    'orbimpc_ros/mpc': 14_758,
+    'orbimpc_ros': 28_736,
+    'orbimpc_ros/mpc': 14_744,
     'orbimpc_ros/loop': 3_258,
     'orbimpc_ros/ros': 4_165,
     'orbimpc_ros/sim': 2_388,
