@@ -217,20 +217,19 @@ class Condensed:
 
         c includes the constant length term of R_0 e1.
         """
-        known = knowns(state, goals)[:, : goals.shape[1]]
+        known = knowns(state, goals, axes=True)
         c = float(np.vdot(known, self.axes.squared @ known))
         return self.axes.pulled @ known, c + first_length(self._problem, state)
 
 
-def knowns(state: State, goals: Array) -> Array:
-    """Return the knowns of the quadratic, shape (N + 4, d): see :class:`Condensed`."""
-    n, columns = len(state.position), state.rotation.T.reshape(-1)
-    start = columns[:n] if n == 2 else columns
+def knowns(state: State, goals: Array, *, axes: bool = False) -> Array:
+    """Return the knowns, shape (N + 4, d), see :class:`Condensed`; of ``axes`` alone (N + 4, n)."""
+    n, start = len(state.position), state.rotation[:, 0] if axes else coordinates(state.rotation)
     known = np.zeros((len(goals) + 4, len(start)))
     known[0], known[1, :n] = start, state.velocity
     known[2, :n] = state.disturbance
     if state.wanted is not None:
-        known[3] = coordinates(state.wanted)
+        known[3] = state.wanted[:, 0] if axes else coordinates(state.wanted)
     known[4:, :n] = goals - state.position
     return known
 

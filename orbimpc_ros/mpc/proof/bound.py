@@ -154,8 +154,8 @@ def _of_step(stated, known, k, tree, leaf, length, shor, work):
         size = size + abs(own[c]) + 2 * abs(rest[c])
     value = over_orbitope(rest, work.matrix) if whole else zero
     for i in range(2 if split and not whole else 1):
-        weights = (length, shor) if i == 0 else (zero, zero)
-        value = value + over_stage(stated, known, k, work.vectors[i], *weights)
+        size_weight, curve = (length, shor) if i == 0 else (zero, zero)
+        value = value + over_stage(stated, known, k, work.vectors[i], size_weight, curve)
     return value, size
 
 

@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Support functions of stage stated: lower bounds on linear functions of one heading.
+"""Support functions of stage sets: lower bounds on linear functions of one heading.
 
 In either arithmetic, up to rounding, which the bound of a leaf subtracts.
 

@@ -389,8 +389,7 @@ class Statement:
         if late and known is None:
             slow = fast = full  # R_1 is given
         if late and known is not None and problem.floor.shape == 'polygon':
-            outward = self._rows(normals(problem.dimension, problem.floor.faces))
-            along = max(outward @ self._rows(known[:, 0]))
+            along = max(self.known.faces @ self._rows(known[:, 0]))
             if 0 < along < 1:  # on this axis the faces are farther
                 slow = max(slow, least / along * number(INWARD))
         return {'entry': entry, 'change': change, 'slow': slow, 'fast': fast}

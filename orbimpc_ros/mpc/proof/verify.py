@@ -85,11 +85,11 @@ class Verifier:
                 those from the state.
         """
         problem = self._statement.problem
+        if not self._fits(tree):
+            return -math.inf
         if limits is None:
             limits = self._statement.limits(state, goals)
         stated = self._statement.of(state, goals, limits)
-        if not self._fits(tree):
-            return -math.inf
         walk = np.empty((3, len(tree.nodes)), np.int64)
         choices = (2 + len(stated.bodies.at)) * problem.horizon
         if self._region.part.shape[1] != choices:
