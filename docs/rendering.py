@@ -15,8 +15,8 @@ import numpy as np
 from PIL import Image
 
 from orbimpc_ros.ros.messages import SECOND
+from orbimpc_ros.sim.node import Orders
 from orbimpc_ros.sim.parameters import sim_settings
-from orbimpc_ros.sim.simulation import Orders
 from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import bags, settings
 

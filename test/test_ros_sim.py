@@ -20,8 +20,8 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import Frames, Stamp, stamp_of
 from orbimpc_ros.ros.process import qos
+from orbimpc_ros.sim.node import Orders
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.simulation import Orders
 from orbimpc_ros.tool.offline import OfflinePlanner, closed_loop
 
 DISTURBED = {
