@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from orbimpc_ros.ros.parameters.planner import PLANNER
-from orbimpc_ros.ros.parameters.spec import PROCESS, ParameterSpec
+from orbimpc_ros.ros.parameters.spec import ParameterSpec
 from orbimpc_ros.sim.parameters import SIM
 
 PAGE = """\
@@ -41,16 +41,17 @@ Made from the tables that the nodes declare their parameters from: `make docs` w
 
 {sim}
 """
+PROCESS = {'autostart', 'executor'}
 HEAD = ('parameter', 'default', 'allowed', 'unit', 'live', 'meaning')
 
 
 def page() -> str:
     """Return the page on parameters, in Markdown."""
-    own = {row.name for row in PROCESS}
+    own = [row for row in PLANNER if row.name in PROCESS]
     shared = {row.name for row in PLANNER} & {row.name for row in SIM}
     return PAGE.format(
-        both=_table(row for row in PLANNER if row.name in shared - own),
-        process=_table(PROCESS),
+        both=_table(row for row in PLANNER if row.name in shared - PROCESS),
+        process=_table(own),
         planner=_table(row for row in PLANNER if row.name not in shared),
         sim=_table(row for row in SIM if row.name not in shared),
     )

@@ -16,7 +16,7 @@ from test_ros_outputs import LANDER
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.problem import weighed
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.parameters.spec import completed, unused
+from orbimpc_ros.ros.parameters.spec import completed, given_sections, unused
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 
 
@@ -182,9 +182,9 @@ def test_parameters_that_no_node_takes_are_told(tmp_path, monkeypatch, name, sec
     words = ['planner', '--ros-args', '--params-file', str(file), '-p', 'step:=1.0', '-p', OWN]
     monkeypatch.setattr(sys, 'argv', words)
     told = [*(f'section {each} in {file}' for each in sections), *(f'-p {each}' for each in rules)]
-    assert unused(name, 'planner') == told
+    assert unused(given_sections(), name, 'planner') == told
     monkeypatch.setattr(sys, 'argv', ['planner'])
-    assert unused(name, 'planner') == []
+    assert unused(given_sections(), name, 'planner') == []
 
 
 def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_path):

@@ -132,23 +132,19 @@ class Managed(LifecycleNodeMixin, Node):
             self.declare_parameter(each.name, self._values[each.name], each.descriptor)
         self.add_on_set_parameters_callback(self._on_set)
         self.add_post_set_parameters_callback(self._on_changed)
-        full = self.get_fully_qualified_name()
-        for lost in spec.unused(full, self.kind):
-            self.get_logger().warning(f'{lost} is not for {full}: not used')
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
         values = self._values | {each.name: each.value for each in changes}
         try:
             if values['use_sim_time'] != self._values['use_sim_time']:
                 raise BadInput('use_sim_time', values['use_sim_time'], 'set at the start only')
-            self.settings_of(values)
+            self._accepted = values, self.settings_of(values)
         except Exception as error:  # an exception would let remote callers end the node
             return SetParametersResult(successful=False, reason=_said(error))
         return SetParametersResult(successful=True)
 
-    def _on_changed(self, changes: list[Parameter]) -> None:
-        self._values |= {each.name: each.value for each in changes}
-        self.settings = self.settings_of(self._values)
+    def _on_changed(self, _changes: list[Parameter]) -> None:
+        self._values, self.settings = self._accepted
         self.install()
 
     # --- callbacks
@@ -447,7 +443,7 @@ def run(node_type: type[Managed]) -> int:
     os.environ.setdefault(RANGE, 'LOCALHOST')
     leave_at_signals()
     try:
-        spec.given_sections()
+        sections = spec.given_sections()
         with ExitStack() as stack:
             try:
                 stack.enter_context(get_default_context())  # unlike rclpy.init, without signals
@@ -463,6 +459,9 @@ def run(node_type: type[Managed]) -> int:
             warnings.simplefilter('ignore', RuntimeWarning)  # failures of rclpy's own cleanup
             node = node_type()
             stack.callback(_destroy, node)
+            full = node.get_fully_qualified_name()
+            for lost in spec.unused(sections, full, node.kind):
+                node.get_logger().warning(f'{lost} is not for {full}: not used')
             node.begin()
             return _live(node)
     except (BadInput, InvalidParameterTypeException) as error:  # use_sim_time of another type

@@ -50,7 +50,7 @@ class PlannerSettings(VehicleParameters):
         'On squared distance to the goal at every step', '1/m^2', 0.0, 1e6, live=True)
     weights_input: float = parameter('weights.input', 0.05, 'On squared inputs (turning, braking); '
         '150 by default with weights.scaling time at translation_order 2',
-        's^2 or s^4', 0.0, 1e6, live=True, timed_thrust=150.0)
+        's^2 or s^4', 0.0, 1e6, live=True)
     weights_length: float = parameter('weights.length', 0.0, 'On distance flown or thrust spent',
         '1/m', 0.0, 1e6, live=True)
     weights_terminal: float = parameter('weights.terminal', 10.0,

@@ -48,6 +48,7 @@ ALLOWED = {  # descriptions, with a place for the range of numbers
     Type.INTEGER: 'an integer {}',
 }
 NUMBERS = (Type.DOUBLE, Type.DOUBLE_ARRAY, Type.INTEGER)
+TIMED_INPUT = 150.0  # default of weights.input for thrust with weights.scaling time
 TINY = 1e-6  # means "above zero" in ranges, which are closed
 TOPIC = re.compile(r'(~?/)?[a-zA-Z_]\w*(/[a-zA-Z_]\w*)*', re.ASCII)
 
@@ -66,7 +67,6 @@ class ParameterSpec:
         choices: allowed words, if restricted.
         live: whether it may change while the node runs.
         words: whether a list is one of words.
-        timed_thrust: another default with ``weights.scaling`` time at translation order 2, if any.
     """
 
     name: str
@@ -78,12 +78,6 @@ class ParameterSpec:
     choices: Collection[str] = ()
     live: bool = False
     words: bool = False
-    timed_thrust: Value | None = None
-
-    def default_beside(self, given: Values) -> Value:
-        """Return the default, given the values of other parameters."""
-        timed = (given.get('weights.scaling'), given.get('translation_order')) == ('time', 2)
-        return self.timed_thrust if timed and self.timed_thrust is not None else self.default
 
     @property
     def kind(self) -> Type:
@@ -179,7 +173,10 @@ def settings_from(settings: type[S], values: Values) -> S:
 
 def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:
     """Return the given values, and defaults for the rest."""
-    return {spec.name: spec.default_beside(given) for spec in specs} | dict(given)
+    values = {spec.name: spec.default for spec in specs}
+    if (given.get('weights.scaling'), given.get('translation_order')) == ('time', 2):
+        values['weights.input'] = TIMED_INPUT
+    return values | dict(given)
 
 
 # --- values given from outside: rcl matches sections of files, and -p NODE:NAME:=VALUE, with node
@@ -201,19 +198,20 @@ def refuse_unknown(given: Iterable[str], specs: Iterable[ParameterSpec]) -> None
         raise BadInput.unknown('parameter', name, sorted(known))
 
 
-def unused(full: str, kind: str) -> list[str]:
+def unused(given: Iterable[tuple[str, str]], full: str, kind: str) -> list[str]:
     """Return sections of a node's parameter files, and words after -p, that are for no node.
 
     Sections in other namespaces belong to other vehicles, but not those without a namespace.
 
     Args:
+        given: sections of files, each with its file.
         full: name of the node, with its namespace.
         kind: its name unless it is remapped.
     """
     name = full.rpartition('/')[2]
     known = {name, '*', '**', 'planner', 'sim'} - ({kind} - {name})  # one file may serve both
     found = []
-    for section, file in given_sections():
+    for section, file in given:
         if section.rpartition('/')[2] not in known or f'/{name}' == section != full:
             found.append(f'section {section} in {file}')
     for flag, word in pairwise(sys.argv):
@@ -275,8 +273,11 @@ def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:
 
 
 @dataclass(frozen=True)
-class ProcessParameters:
-    """Parameters of a node's process."""
+class VehicleParameters:
+    """Parameters of each node's process, and those on which planner and simulator must agree.
+
+    What is derived from parameters raises BadInput, naming one, where they do not fit together.
+    """
 
     # fmt: off
     autostart: bool = parameter('autostart', True, 'Whether to configure and activate itself at '
@@ -284,17 +285,6 @@ class ProcessParameters:
     executor: str = parameter('executor', 'wait_set', "Executor of callbacks: wait_set, rclpy's "
         'default; events, its experimental one, which takes less processor time (rclpy 7.1.4 and '
         'later)', choices=('wait_set', 'events'))
-    # fmt: on
-
-
-@dataclass(frozen=True)
-class VehicleParameters(ProcessParameters):
-    """Parameters on which planner and simulator must agree.
-
-    What is derived from parameters raises BadInput, naming one, where they do not fit together.
-    """
-
-    # fmt: off
     dimension: int = parameter('dimension', 2, 'Plane (2) or space (3)', '', 2, 3)
     rotation_order: int = parameter('rotation_order', 1,
         'Whether inputs are rates (1) or accelerations (2) of the rotation', '', 1, 2)
@@ -380,6 +370,3 @@ class VehicleParameters(ProcessParameters):
         known = Approach(self.approach_cone, direction)
         known.validate(self.dimension)
         return known
-
-
-PROCESS = specs_of(ProcessParameters)
