@@ -81,17 +81,13 @@ THRUST_AXES: dict[str, Array] = {
 class Frames:
     """Required frames of messages; an empty name accepts any.
 
-    Attributes:
-        world: of poses.
-        body: of twists.
-        thrust_axis: body axis of the thrust, ``x`` or, in space, ``z``.
-        velocity: frame of the linear velocity of odometry: ``body``, as the message type defines,
-            or ``world``, as published by some autopilots; then the frame of the twist is ignored.
+    The linear velocity of odometry is in the frame ``body``, as the message type defines, or
+    ``world``, as published by some autopilots; then the frame of the twist is ignored.
     """
 
-    world: str = ''
-    body: str = ''
-    thrust_axis: str = 'x'
+    world: str = ''  # of poses
+    body: str = ''  # of twists
+    thrust_axis: str = 'x'  # body axis of the thrust; in space also ``z``
     velocity: str = 'body'
 
     def turned(self, own: Array) -> Array:
@@ -109,15 +105,10 @@ class Frames:
 
 @dataclass(frozen=True)
 class Stamp:
-    """Stamp and frames of an odometry message, which outputs reuse.
+    """Stamp and frames of an odometry message, which outputs reuse."""
 
-    Attributes:
-        nanoseconds: the stamp [ns]; exact, unlike seconds as a float.
-        frames: of the pose and of the twist.
-    """
-
-    nanoseconds: int
-    frames: Frames = field(default_factory=Frames)
+    nanoseconds: int  # exact, unlike seconds as a float
+    frames: Frames = field(default_factory=Frames)  # of the pose and of the twist
 
 
 # --- reading: each function raises BadInput, naming the field, for what is not acceptable

@@ -53,6 +53,7 @@ from orbimpc_ros.ros.parameters.spec import ParameterSpec, Values
 
 ENDPOINTS = ('publisher', 'subscription', 'service', 'client', 'timer')
 HELD_UP = 0.05  # [s] between readings of two clocks, above which they are not compared
+CLOCK_SET = 0.1  # [s] jump of the system clock that is tolerated
 FAILURES_IN_A_ROW = 5  # failures of one callback, after which the node gives up
 
 
@@ -306,7 +307,7 @@ class NodeClock:
     Args:
         step: largest regular step of simulated time [s].
         on_jump: called with a jump of time [s]: of simulated time back, or forward by more than a
-            step; of system time by any detectable amount.
+            step; of system time by more than ``CLOCK_SET``.
 
     Attributes:
         simulated: whether time comes from ``/clock``; constant while the node runs.
@@ -355,7 +356,7 @@ class NodeClock:
             return
         offset, last = shown / SECOND - after, self._offset
         self._offset = offset
-        if last is not None and abs(offset - last) > HELD_UP:
+        if last is not None and abs(offset - last) > CLOCK_SET:
             self._on_jump(offset - last)
 
     def _on_simulated_jump(self, jump: TimeJump) -> None:

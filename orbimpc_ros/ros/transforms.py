@@ -35,18 +35,12 @@ FORM = "'parent child x y z roll pitch yaw', six finite numbers [m, rad]"
 
 @dataclass(eq=False)
 class Edge:
-    """The transform of a frame to its parent.
-
-    Attributes:
-        parent, child: frames.
-        fixed: whether it is permanent.
-        samples: stamps [ns] and transforms, in order of time.
-    """
+    """The transform of a frame to its parent."""
 
     parent: str
     child: str
-    fixed: bool
-    samples: list[tuple[int, Transform]] = field(default_factory=list)
+    fixed: bool  # whether it is permanent
+    samples: list[tuple[int, Transform]] = field(default_factory=list)  # with stamps [ns], in order
 
     def at(self, stamp: int, patience: float) -> Array:
         """Return the matrix at a stamp [ns]; the latest one for a stamp of 0, as in tf2.
@@ -118,7 +112,7 @@ class Transforms:
     """The known transforms.
 
     Attributes:
-        settings: of the planner: ``tf``, ``stated_transforms`` and ``transform_timeout``.
+        settings: of the planner.
     """
 
     def __init__(self, settings: Any) -> None:
@@ -153,19 +147,21 @@ class Transforms:
                 known.samples.append((stamp, each.transform))
                 del known.samples[:-MOST_SAMPLES]
 
-    def move(self, header: Header, frame: str, at: int | None = None) -> Array:
-        """Return the matrix from the frame of a header to another, shape (4, 4).
+    def move(self, header: Header, at: int | None = None) -> Array | None:
+        """Return the matrix from the frame of a header to the world; None if that is its frame.
 
         ``at`` is the time of the transform [ns], by default the stamp of the header.
 
         Raises:
             BadInput: there is no transform, or none at that time, or the stamp is not valid.
         """
-        found = header.frame_id
+        world, found = self.settings.frames.world, header.frame_id
+        if not world or found in ('', world):
+            return None
         if not (self.settings.tf or self.settings.stated_transforms):
-            raise BadInput('header.frame_id', repr(found), f'{frame!r}; for others, {ON}')
+            raise BadInput('header.frame_id', repr(found), f'{world!r}; for others, {ON}')
         stamp = messages.nanoseconds(header.stamp, 'header.stamp')
-        return self.between(frame, found, stamp if at is None else at)
+        return self.between(world, found, stamp if at is None else at)
 
     def between(self, target: str, source: str, stamp: int) -> Array:
         """Return the matrix from one frame to another at a stamp [ns], shape (4, 4).

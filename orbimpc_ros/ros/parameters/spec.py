@@ -55,29 +55,17 @@ TOPIC = re.compile(r'(~?/)?[a-zA-Z_]\w*(/[a-zA-Z_]\w*)*', re.ASCII)
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """One parameter.
+    """One parameter."""
 
-    Attributes:
-        name: in ROS.
-        default: its type is the parameter's; tuples are lists of numbers, or of words.
-        description: one sentence.
-        unit: of the value; empty without one.
-        low: least allowed value, of every element of a list.
-        high: greatest allowed value.
-        choices: allowed words, if restricted.
-        live: whether it may change while the node runs.
-        words: whether a list is one of words.
-    """
-
-    name: str
-    default: Value
-    description: str
-    unit: str = ''
-    low: float = -math.inf
-    high: float = math.inf
-    choices: Collection[str] = ()
-    live: bool = False
-    words: bool = False
+    name: str  # in ROS
+    default: Value  # of the parameter's type; tuples are lists of numbers, or of words
+    description: str  # one sentence
+    unit: str = ''  # of the value; empty without one
+    low: float = -math.inf  # least allowed value, of every element of a list
+    high: float = math.inf  # greatest allowed value
+    choices: Collection[str] = ()  # allowed words, if restricted
+    live: bool = False  # whether it may change while the node runs
+    words: bool = False  # whether a list is one of words
 
     @property
     def kind(self) -> Type:

@@ -68,23 +68,14 @@ LONGEST = 0.25  # [s] longest deadline there, where a simulator waits for the an
 
 @dataclass(frozen=True)
 class Received:
-    """A message taken in.
+    """A message taken in."""
 
-    Attributes:
-        stamp: the sender's.
-        value: its content.
-        at: time of arrival on the steady clock [s].
-        timed: whether its stamp is on the node's clock; None if that is unknown.
-        run: number of messages of its source, including this one, in close succession.
-        moved: the original message, if it came in another frame.
-    """
-
-    stamp: Stamp
-    value: Any
-    at: float
-    timed: bool | None = None
-    run: int = 1
-    moved: Any = None
+    stamp: Stamp  # the sender's
+    value: Any  # its content
+    at: float  # time of arrival on the steady clock [s]
+    timed: bool | None = None  # whether its stamp is on the node's clock; None if unknown
+    run: int = 1  # messages of its source in close succession, including this one
+    moved: Any = None  # the original message, if it came in another frame
 
     @property
     def streams(self) -> bool:
@@ -175,7 +166,7 @@ class Inputs:
     def _take(self, topic: str, message: Any, now: float, ros: int | None) -> None:
         """Take in odometry, a goal, a wind or another vehicle's plan, or raise BadInput."""
         settings, last, is_goal = self.settings, self.latest.get(topic), topic in GOALS
-        move = self._move(message.header) if is_goal or topic in self.others else None
+        move = self.transforms.move(message.header) if is_goal or topic in self.others else None
         stamp, value = read(topic, message, settings, move)
         apart = abs(_past(stamp.nanoseconds, ros, settings.future_tolerance + self.lag))
         by_hand = is_goal and stamp.nanoseconds == 0  # typed without a stamp: dated by arrival
@@ -273,19 +264,13 @@ class Inputs:
         if goal is not None and known is not None and not goal.stamp.nanoseconds:
             self._see_anew(replace(goal, value=replace(goal.value, time=known.value.time)))
 
-    def _move(self, header: Any, at: int | None = None) -> Array | None:
-        """Return the matrix from the frame of a header to the world; None if that is its frame."""
-        world = self.settings.frames.world
-        there = not world or header.frame_id in ('', world)
-        return None if there else self.transforms.move(header, world, at)
-
     def _place_again(self, at: int) -> None:
         """Transform a resting goal anew, at a stamp [ns]: localisation may have moved its frame."""
         goal, self.displaced = self.latest.get('goal'), ''
         if goal is None or goal.moved is None or goal.streams:
             return
         try:
-            move = self._move(goal.moved.header, at)
+            move = self.transforms.move(goal.moved.header, at)
             _, value = read('goal', goal.moved, self.settings, move)
         except BadInput as error:
             self.displaced = f'the goal stays where it was: {error}'
@@ -310,7 +295,9 @@ class Inputs:
         """Take in a marker; return culprit and description if it is rejected or unusual."""
         settings = self.settings
         try:
-            seen = read_obstacle(marker, settings.problem.dimension, settings.frames, self._move)
+            seen = read_obstacle(
+                marker, settings.problem.dimension, settings.frames, self.transforms.move
+            )
             if seen is None:
                 self.bodies.clear()
             elif isinstance(seen, str):

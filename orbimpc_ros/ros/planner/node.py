@@ -108,7 +108,6 @@ TRANSFORMS = 100  # queued messages on /tf, each for other frames
 REPEAT = 0.1  # [s] until a repeated request is answered again, unlike duplicate messages
 WATCH = 0.05  # [s] longest period of checks of the age of inputs
 HEALTH = 1.0  # [s] longest interval between messages on /diagnostics
-CLOCK_SET = 0.1  # [s] jump of the system clock that is tolerated without a fresh start
 REFUSED = 1.0  # [s] duration of the warning on a refused message
 SILENCE = 1.5  # [s] without any /clock before a warning
 LULL = 10.0  # [s] the same after the first one: lock-step waits for slow planners
@@ -504,11 +503,9 @@ class PlannerNode(Managed):
 
     def _on_jump(self, by: float) -> None:
         """Start anew if the clock has jumped [s]: simulated time, so far that all is stale."""
-        settings, back, forth = self.settings, CLOCK_SET, CLOCK_SET
-        if self._time.simulated:
-            back = 0.0
-            forth = max(settings.odom_timeout, settings.goal_timeout) + settings.problem.step
-        if not -back <= by <= forth:
+        settings = self.settings
+        stale = max(settings.odom_timeout, settings.goal_timeout) + settings.problem.step
+        if not (self._time.simulated and 0.0 <= by <= stale):
             self._start_afresh(f'the clock jumped by {by:.3g} s')
 
     def _start_afresh(self, why: str, reason: Reason = core.AFRESH) -> None:
