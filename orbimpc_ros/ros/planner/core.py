@@ -285,40 +285,35 @@ class Inputs:
         if count > MOST:  # reading them all would take too long
             many = f' refused: count is {count}; allowed: {MOST}: the rest are ignored'
             odd.append(('count', many))
-        odd += filter(None, (self._take_marker(marker, ros) for marker in message.markers[:MOST]))
+        for marker in message.markers[:MOST]:
+            try:
+                if jump := self._take_marker(marker, ros):
+                    odd.append(('jump', f': {jump}'))
+            except BadInput as error:  # noqa: PERF203
+                odd.append((error.culprit, f' refused: {error}'))
         self.latest[OBSTACLES] = Received(Stamp(max(0, stamp_of(message))), None, now)
         self.refused.update(f'{OBSTACLES}: {culprit}' for culprit, _ in odd)
         more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
         return f'{self._named(OBSTACLES)}{odd[0][1]}{more}' if odd else ''
 
-    def _take_marker(self, marker: Any, ros: int | None) -> tuple[str, str] | None:
-        """Take in a marker; return culprit and description if it is rejected or unusual."""
-        settings = self.settings
-        try:
-            seen = read_obstacle(
-                marker, settings.problem.dimension, settings.frames, self.transforms.move
-            )
-            if seen is None:
-                self.bodies.clear()
-            elif isinstance(seen, str):
-                self.bodies.remove(seen)
-            else:
-                stamp, body = seen
-                self._require_current(stamp.nanoseconds, body.lifetime, ros)
-                if jump := self.bodies.see(body, settings.obstacle_speed_limit):
-                    return 'jump', f': {jump}'
-        except BadInput as error:
-            return error.culprit, f' refused: {error}'
-        return None
-
-    def _require_current(self, stamp: int, lifetime: float, ros: int | None) -> None:
-        """Reject a stamp [ns] in the future, or older than a lifetime [s] at the last odometry."""
+    def _take_marker(self, marker: Any, ros: int | None) -> str:
+        """Take in a marker, or raise BadInput; describe it if it is unusual."""
+        known = self.settings.problem.dimension, self.settings.frames, self.transforms.move
+        seen = read_obstacle(marker, *known)
+        if seen is None:
+            self.bodies.clear()
+            return ''
+        if isinstance(seen, str):
+            self.bodies.remove(seen)
+            return ''
+        stamp, body = seen[0].nanoseconds, seen[1]
         _past(stamp, ros, self.settings.future_tolerance + self.lag)
-        limit, age = min(lifetime, COMPARABLE), (self._time - stamp) / SECOND
+        limit, age = min(body.lifetime, COMPARABLE), (self._time - stamp) / SECOND
         if age > limit and stamp == 0:
             raise BadInput.stating('unset stamp', '0', NOT_SET)
         if age > limit:
             raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
+        return self.bodies.see(body, self.settings.obstacle_speed_limit)
 
     def traffic(self, at: float) -> ObservedTraffic | None:
         """Return the traffic at a time [s]; None if there has never been a message."""
