@@ -18,7 +18,7 @@ from orbimpc_ros.ros import messages
 from orbimpc_ros.sim import vehicle as engines
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import SimSettings
-from orbimpc_ros.sim.vehicle import Kind, class_of
+from orbimpc_ros.sim.vehicle import class_of
 from orbimpc_ros.sim.world import departure, outcome
 from orbimpc_ros.tool import offline
 from orbimpc_ros.tool.study import draws_of
@@ -76,7 +76,7 @@ BLAME = {
 
 
 def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
-    monkeypatch.setitem(engines.ENGINES, 'glider', Kind(2, 1))
+    monkeypatch.setitem(engines.ENGINES, 'glider', {'dimension': 2, 'translation_order': 1})
     module = SimpleNamespace(Glider=Straight)
     monkeypatch.setitem(sys.modules, 'orbimpc_ros.sim.engines.glider', module)
     vehicle = aircraft(wind=STILL, vehicle='glider').after(0.9, np.zeros(1)).vehicle

@@ -29,7 +29,7 @@ from orbimpc_ros.ros.parameters.spec import (
     vector,
 )
 from orbimpc_ros.sim.engines import Vehicle
-from orbimpc_ros.sim.vehicle import ENGINES, EnginePlant, Model, Plant, Rope
+from orbimpc_ros.sim.vehicle import ENGINES, Model, Plant, Rope
 
 ALONG_AXES = (0.0, 0.0, 0.0)
 READERS = re.compile(rf'(?P<topic>{TOPIC.pattern})(\s+(?P<count>[1-9]\d?|100))?', TOPIC.flags)
@@ -197,13 +197,14 @@ class SimSettings(VehicleParameters):
 
     @cached_property
     def model(self) -> Model:
-        """Return the vehicle's motion model: the discrete model, a plant, or an engine."""
+        """Return the vehicle's motion model; one in an engine has its own, but for the step."""
+        for name, needed in ENGINES.get(self.vehicle, {}).items():
+            if getattr(self, name) != needed:
+                raise BadInput(name, getattr(self, name), f'{needed} with vehicle: {self.vehicle}')
         own: dict[str, Any] = {'disturbance': tuple(self.disturbance.tolist())}
         if self.odom_rate:
             own['step'] = 1.0 / self.odom_rate
-        kind: type[Model] = Model if self.vehicle == 'discrete' else Plant
-        if self.vehicle in ENGINES:
-            kind, own['engine'] = EnginePlant, self.vehicle
+        kind: type[Model] = Plant if self.vehicle == 'continuous' else Model
         names = {each.name for each in fields(kind)} - own.keys()
         return kind(**own, **{name: getattr(self, name) for name in names})
 

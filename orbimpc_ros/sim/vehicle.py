@@ -10,20 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
 from itertools import accumulate
-from typing import NamedTuple
 
 import numpy as np
 
 from orbimpc_ros.install import command_for_extra
-from orbimpc_ros.loop.compensation import Odometry
+from orbimpc_ros.loop.compensation import Odometry, followed
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, nearest
-from orbimpc_ros.sim.engines import Engine, EngineFailure, Vehicle
+from orbimpc_ros.sim.engines import Engine, Vehicle
 
 SUBSTEP = 0.02  # [s] longest integration step
 SAMPLE = 0.02  # [s] between samples of gusts, interpolated linearly
@@ -257,80 +256,26 @@ class Plant(Model):
         These are exact responses of first-order lags. That of the speed has a limited slope as long
         as the remaining difference exceeds the slope times the lag.
         """
-        lag, apart = self.rate_lag, now.body_rate - body_rate
-        left = math.exp(-dt / lag) if lag else 0.0
-        turned = dt * body_rate + lag * (1.0 - left) * apart
-        rate, lag, beyond = body_rate + left * apart, self.speed_lag, now.fraction - fraction
+        body_rate, turned = followed(now.body_rate, body_rate, dt, self.rate_lag)
+        attitude, reached, lag = now.attitude @ exp(turned), now.fraction, self.speed_lag
         if self.max_acceleration:
-            limit = self.max_acceleration / (self.forward * self.gain)
+            limit, beyond = self.max_acceleration / (self.forward * self.gain), reached - fraction
             ramp = min(dt, max(0.0, abs(beyond) / limit - lag))
-            beyond, dt = beyond - math.copysign(limit * ramp, beyond), dt - ramp
+            reached, dt = reached - math.copysign(limit * ramp, beyond), dt - ramp
         if dt or not self.max_acceleration:
-            beyond *= math.exp(-dt / lag) if lag else 0.0
-        attitude = now.attitude @ exp(turned)
-        return replace(now, attitude=attitude, body_rate=rate, fraction=fraction + beyond)
+            reached, _ = followed(reached, fraction, dt, lag)
+        return replace(now, attitude=attitude, body_rate=body_rate, fraction=reached)
 
 
 # --- in an engine
 
-
-class Kind(NamedTuple):
-    """Properties of an engine vehicle; its class is in the module of ``engines`` with its name."""
-
-    dimension: int  # of its flight
-    translation_order: int  # 1: commanded by speed; 2: by thrust
-    extra: str = 'physics'  # of this package, which installs the libraries
-
-
-ENGINES = {'cessna': Kind(2, 1), 'hummingbird': Kind(2, 1), 'servicer': Kind(3, 2, 'basilisk')}
-
-
-@dataclass(frozen=True)
-class EnginePlant(Model):
-    """A vehicle moved by an engine with its own inner loop; in the plane, flight at one altitude.
-
-    Its wind is the steady wind of the model plus turbulence.
-    """
-
-    engine: str = 'cessna'  # a key of :data:`ENGINES`
-    gust: float = 0.0  # standard deviation of the turbulence along each axis [m/s]
-    seed: int = 0  # of the turbulence and all other random draws of the engine
-    rope: Rope = field(kw_only=True)  # the goal, for engines that simulate its motion
-
-    lags = True
-
-    def __post_init__(self) -> None:
-        for name in ('dimension', 'translation_order'):
-            needed = getattr(ENGINES[self.engine], name)
-            if getattr(self, name) != needed:
-                raise BadInput(name, getattr(self, name), f'{needed} with vehicle: {self.engine}')
-
-    def begun(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle in its initial state, with a new engine.
-
-        Raises:
-            BadInput: the engine is not installed, or cannot start from this state.
-        """
-        start = replace(vehicle, wind=self.blown, goal=self.rope.at(0.0))
-        given = self.forward, self.gust, self.seed, self.rope.center
-        try:
-            engine = class_of(self.engine)(start, *given)
-        except EngineFailure as error:
-            raise BadInput('vehicle', self.engine, f'a possible start ({error})') from None
-        return replace(engine.state(), engine=engine)
-
-    def flown(
-        self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
-    ) -> tuple[Vehicle, ...]:
-        """Return the vehicle at the output times of its engine; see :meth:`Model.flown`.
-
-        Raises:
-            EngineFailure: the engine has failed.
-        """
-        engine = vehicle.engine
-        assert engine is not None
-        states = engine.run(span, float(np.clip(fraction, 0.0, 1.0)), body_rate)
-        return tuple(replace(each, engine=engine) for each in states)
+# What an engine vehicle flies in; its class is in the module of ``engines`` with its name.
+ENGINES = {
+    'cessna': {'dimension': 2, 'translation_order': 1},
+    'hummingbird': {'dimension': 2, 'translation_order': 1},
+    'servicer': {'dimension': 3, 'translation_order': 2},
+}
+EXTRAS = {'servicer': 'basilisk'}  # of this package, which install the libraries, if not physics
 
 
 def class_of(name: str) -> Callable[..., Engine]:
@@ -343,7 +288,7 @@ def class_of(name: str) -> Callable[..., Engine]:
         module = import_module(f'orbimpc_ros.sim.engines.{name}')
     except ModuleNotFoundError as error:
         library = str(error.name).partition('.')[0]
-        hint = command_for_extra(ENGINES[name].extra)
+        hint = command_for_extra(EXTRAS.get(name, 'physics'))
         raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
     made: Callable[..., Engine] = getattr(module, name.capitalize())
     return made

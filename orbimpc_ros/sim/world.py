@@ -6,14 +6,17 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from orbimpc_ros.loop.capture import closest_approach, is_headed
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import TOLERANCE
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Ball, MovingObstacle
-from orbimpc_ros.sim.engines import Vehicle
+from orbimpc_ros.sim import vehicle as vehicles
+from orbimpc_ros.sim.engines import EngineFailure, Vehicle
 from orbimpc_ros.sim.parameters import SimSettings
 
 ROUNDING = 1e-6  # relative tolerance of the stall speed
@@ -104,15 +107,19 @@ class Flight:
             body_rate: commanded, shape (1,) or (3,) [rad/s].
             held: duration of the command within the step [s]; then the failsafe of the model acts.
         """
-        model, trail = self.settings.model, tuple[Vehicle, ...]()
+        model, engine, trail = self.settings.model, self.vehicle.engine, tuple[Vehicle, ...]()
+
+        def flown(vehicle: Vehicle, *command: Any) -> tuple[Vehicle, ...]:
+            return engine.run(*command) if engine else model.flown(vehicle, *command)
+
         if held > 0.0:
-            trail = model.flown(self.vehicle, min(held, model.step), fraction, body_rate)
+            trail = flown(self.vehicle, min(held, model.step), fraction, body_rate)
         if held < model.step:
             safe, left = self.settings.failsafe, model.step - max(0.0, held)
             last, (share, turn) = (self.vehicle, *trail)[-1], safe
-            if not model.lags:  # at once; at translation order 2 the vehicle coasts
+            if not (model.lags or engine):  # at once; at translation order 2 the vehicle coasts
                 last = replace(last, fraction=share, body_rate=turn)
-            trail += model.flown(last, left, *safe)
+            trail += flown(last, left, *safe)
         return self._along(trail)
 
     def _along(self, trail: tuple[Vehicle, ...]) -> Flight:
@@ -145,8 +152,22 @@ class Flight:
 
 
 def departure(settings: SimSettings) -> Flight:
-    """Return the flight before its first step."""
-    start = settings.model.begun(settings.start)
+    """Return the flight before its first step.
+
+    Raises:
+        BadInput: an engine is not installed, or cannot start from the initial state.
+    """
+    start, rope = settings.start, settings.rope
+    if settings.vehicle in vehicles.ENGINES:
+        start = replace(start, wind=settings.model.blown, goal=rope.at(0.0))
+        given = settings.forward, settings.gust, settings.seed, rope.center
+        try:
+            engine = vehicles.class_of(settings.vehicle)(start, *given)
+        except EngineFailure as error:
+            raise BadInput('vehicle', settings.vehicle, f'a possible start ({error})') from None
+        start = replace(engine.state(), engine=engine)
+    else:
+        start = settings.model.begun(start)
     flight = Flight(settings, start, least_airspeed=start.airspeed)
     return replace(flight, stalls=int(flight.stalled))
 

@@ -94,28 +94,29 @@ class Engine(ABC):
     def fly(self, fraction: float, rate: Array) -> None:
         """Fly for one tick on a command; see :meth:`run`."""
 
-    def run(self, span: float, fraction: float, rate: Array) -> list[Vehicle]:
+    def run(self, span: float, fraction: float, rate: Array) -> tuple[Vehicle, ...]:
         """Fly for a time and return the states on the way, the last one at the end.
 
         Args:
             span: duration [s].
-            fraction: commanded share of full speed or thrust, in [0, 1].
+            fraction: commanded share of full speed or thrust, clipped to [0, 1].
             rate: commanded body rate, shape (1,), positive to the left, or shape (3,) [rad/s].
 
         Raises:
             EngineFailure: the engine has stopped, or its numbers are not finite.
         """
-        states, count = [], max(1, round(span / self.tick))
+        states, count = tuple[Vehicle, ...](), max(1, round(span / self.tick))
+        fraction = min(max(float(fraction), 0.0), 1.0)
         for k in range(1, count + 1):
             self.fly(fraction, rate)
             if k % self.every == 0 or k == count:
-                now = self.state()
+                now = replace(self.state(), engine=self)
                 known = *vars(now).values(), *now.facts.values()
                 numbers = (each for each in known if isinstance(each, (float, np.ndarray)))
                 if not all(np.isfinite(each).all() for each in numbers):
                     wrong = f'numbers that are not finite at t = {now.time:.3f} s'
                     raise EngineFailure(f'{self.name}: {wrong}')
-                states.append(now)
+                states += (now,)
         return states
 
 
