@@ -15,6 +15,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.ros import messages
+from orbimpc_ros.sim import parameters
 from orbimpc_ros.sim import vehicle as engines
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import SimSettings
@@ -23,6 +24,7 @@ from orbimpc_ros.sim.world import departure, outcome
 from orbimpc_ros.tool import offline
 from orbimpc_ros.tool.study import draws_of
 
+DEFAULTS = {row.name: row.default for row in parameters.SIM}
 BASILISK = "Basilisk is not installed: pip install 'orbimpc_ros[basilisk]' runs this"
 
 
@@ -76,7 +78,7 @@ BLAME = {
 
 
 def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
-    monkeypatch.setitem(engines.ENGINES, 'glider', {'dimension': 2, 'translation_order': 1})
+    monkeypatch.setitem(engines.ENGINES, 'glider', 'physics')
     module = SimpleNamespace(Glider=Straight)
     monkeypatch.setitem(sys.modules, 'orbimpc_ros.sim.engines.glider', module)
     vehicle = aircraft(wind=STILL, vehicle='glider').after(0.9, np.zeros(1)).vehicle
@@ -113,8 +115,12 @@ def test_the_library_of_an_engine_that_is_missing_is_named(monkeypatch, name, mo
 
 @pytest.mark.parametrize(('name', 'value'), [('dimension', 3), ('translation_order', 2)])
 def test_an_engine_flies_in_its_own_dimension_and_order(name, value):
+    own = {'dimension': 3, 'translation_order': 2, 'vehicle': 'servicer'}
+    assert parameters.sim_settings(DEFAULTS | own).dimension == 3
     with pytest.raises(BadInput, match=f'{name} is {value}; allowed: [12] with vehicle: cessna'):
-        SimSettings(vehicle='cessna', **{name: value}).model  # noqa: B018
+        parameters.sim_settings(DEFAULTS | {'vehicle': 'cessna', name: value})
+    with pytest.raises(BadInput, match=f'{name} is .; allowed: {value} with vehicle: servicer'):
+        parameters.sim_settings(DEFAULTS | own | {name: DEFAULTS[name]})
 
 
 # --- the Cessna of JSBSim

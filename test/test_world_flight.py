@@ -13,7 +13,8 @@ from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem
 from orbimpc_ros.sim.fleet import LEAST_RING, separations, vehicles
-from orbimpc_ros.sim.vehicle import Plant, Rope
+from orbimpc_ros.sim.parameters import SimSettings
+from orbimpc_ros.sim.vehicle import Plant
 from orbimpc_ros.sim.world import departure, touched
 
 
@@ -39,13 +40,13 @@ def test_closest_approach_is_the_least_of_many(n):
 
 def test_a_rope_swings_about_its_center():
     """It may drift as well."""
-    middle, swing, phase, still = np.array([[5.0, 0.0], [0.5, 0.25], [0.0, np.pi / 2], [0.0, 0.0]])
-    rope = Rope(middle, swing, 0.1, phase, still)
-    drift = np.array([0.3, -0.4])
-    np.testing.assert_allclose(replace(rope, velocity=drift).at(40.0), rope.at(40.0) + 40.0 * drift)
-    np.testing.assert_allclose(rope.at(0.0), [5.0, 0.25])
-    np.testing.assert_allclose(rope.at(2.5), [5.5, 0.0], atol=1e-12)
-    np.testing.assert_allclose(rope.at(10.0), rope.at(0.0), atol=1e-12)
+    own = {'rope_center': (5.0, 0.0), 'rope_amplitude': (0.5, 0.25), 'rope_phase': (0.0, np.pi / 2)}
+    still, drift = SimSettings(**own, rope_frequency=0.1), np.array([0.3, -0.4])
+    drifting = replace(still, rope_velocity=tuple(drift))
+    np.testing.assert_allclose(drifting.rope_at(40.0), still.rope_at(40.0) + 40.0 * drift)
+    np.testing.assert_allclose(still.rope_at(0.0), [5.0, 0.25])
+    np.testing.assert_allclose(still.rope_at(2.5), [5.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(still.rope_at(10.0), still.rope_at(0.0), atol=1e-12)
 
 
 @pytest.mark.parametrize('seed', [None, 1, 2])

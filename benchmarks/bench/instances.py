@@ -154,5 +154,5 @@ def _flown(problem: Problem, values: Mapping[str, Any]) -> Iterator[Instance]:
     ahead = controller.lead + problem.step * np.arange(1.0, problem.horizon + 1.0)
     for flight, decision in closed_loop(planner, world):
         if decision is not None and decision.state is not None:
-            goals = [world.rope.at(flight.vehicle.time + each) for each in ahead]
+            goals = [world.rope_at(flight.vehicle.time + each) for each in ahead]
             yield Instance(decision.state, np.array(goals))

@@ -40,7 +40,7 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
         BadInput: ``count`` is not in [1, 64].
     """
     whole(count, 'vehicles', 1, MOST)
-    return {f'/uav{i + 1}': _drawn(fleet, i, count, seed) for i in range(count)}
+    return {f'/uav{k + 1}': _drawn(fleet, k, count, seed) for k in range(count)}
 
 
 def _drawn(fleet: str, number: int, count: int, seed: int) -> Parameters:

@@ -124,8 +124,8 @@ def surroundings(stamp: Stamp, flight: Flight) -> Iterator[tuple[str, MarkerArra
     if markers:
         yield 'obstacles', MarkerArray(markers=markers)
     if steps := flight.settings.goal_path_steps:
-        rope = flight.settings.rope
-        ahead = [pose(rope.at(flight.vehicle.time + step * k)) for k in range(steps + 1)]
+        times = (flight.vehicle.time + step * k for k in range(steps + 1))
+        ahead = [pose(flight.settings.rope_at(time)) for time in times]
         yield 'goal_path', messages.path_message(stamp, step, ahead)
 
 
@@ -177,7 +177,7 @@ def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:
     rope.pose.position = point(flight.goal)
     swing = marker(stamp, 'rope', 1, Marker.LINE_STRIP, messages.GREY, model.step)
     swing.scale.x = messages.LINE * unit
-    swing.points = [point(flight.settings.rope.center), point(flight.goal)]
+    swing.points = [point(flight.settings.rope[0]), point(flight.goal)]
     vehicle = marker(stamp, 'vehicle', 0, Marker.ARROW, messages.BLUE, model.step)
     vehicle.pose = pose(flight.vehicle.position, flight.vehicle.attitude)
     vehicle.scale = Vector3(x=0.4 * unit, y=0.1 * unit, z=0.1 * unit)

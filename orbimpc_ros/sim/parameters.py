@@ -29,16 +29,18 @@ from orbimpc_ros.ros.parameters.spec import (
     vector,
 )
 from orbimpc_ros.sim.engines import Vehicle
-from orbimpc_ros.sim.vehicle import ENGINES, Model, Plant, Rope
+from orbimpc_ros.sim.vehicle import ENGINES, Model, Plant
 
 ALONG_AXES = (0.0, 0.0, 0.0)
 READERS = re.compile(rf'(?P<topic>{TOPIC.pattern})(\s+(?P<count>[1-9]\d?|100))?', TOPIC.flags)
 PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # in continuous time
-LACKING = {  # parameters that do not apply to a vehicle, or that its engine sets
+PLANAR = ('dimension', 'translation_order', *PLAIN)
+SET = {'servicer': {'dimension': 3, 'translation_order': 2}}  # by an engine, besides defaults
+FIXED = {  # parameters that do not apply to a vehicle, or that its engine sets
     'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'),
-    'cessna': PLAIN,
-    'hummingbird': (*PLAIN, 'goal_path_steps', 'rope.frequency', 'rope.velocity'),
-    'servicer': (*PLAIN, 'gust', 'stall_speed'),
+    'cessna': PLANAR,
+    'hummingbird': (*PLANAR, 'goal_path_steps', 'rope.frequency', 'rope.velocity'),
+    'servicer': (*PLANAR, 'gust', 'stall_speed'),
 }
 
 
@@ -188,19 +190,20 @@ class SimSettings(VehicleParameters):
         return max(0.0, self.faults.delay, -self.faults.clock_jump)
 
     @cached_property
-    def rope(self) -> Rope:
-        """Return the rope, which is the goal."""
-        names = ('center', 'amplitude', 'phase', 'velocity')
-        given = {name: getattr(self, f'rope_{name}') for name in names}
-        along = {name: vector(given[name], f'rope.{name}', self.dimension) for name in names}
-        return Rope(frequency=self.rope_frequency, **along)
+    def rope(self) -> list[Array]:
+        """Return center, velocity, amplitude and phase of the rope, shape (n,) each."""
+        names = ('center', 'velocity', 'amplitude', 'phase')
+        return [vector(getattr(self, f'rope_{n}'), f'rope.{n}', self.dimension) for n in names]
+
+    def rope_at(self, time: float) -> Array:
+        """Return center + velocity t + amplitude * sin(2 pi f t + phase), shape (n,) [m]."""
+        center, velocity, amplitude, phase = self.rope
+        angle = 2.0 * np.pi * self.rope_frequency * time + phase
+        return np.asarray(center + velocity * time + amplitude * np.sin(angle))
 
     @cached_property
     def model(self) -> Model:
         """Return the vehicle's motion model; one in an engine has its own, but for the step."""
-        for name, needed in ENGINES.get(self.vehicle, {}).items():
-            if getattr(self, name) != needed:
-                raise BadInput(name, getattr(self, name), f'{needed} with vehicle: {self.vehicle}')
         own: dict[str, Any] = {'disturbance': tuple(self.disturbance.tolist())}
         if self.odom_rate:
             own['step'] = 1.0 / self.odom_rate
@@ -273,11 +276,12 @@ def sim_settings(values: Values) -> SimSettings:
     """
     faults = settings_from(Faults, values)
     settings = replace(settings_from(SimSettings, values), faults=faults)
-    lacking = LACKING.get(settings.vehicle, ())
+    fixed = FIXED.get(settings.vehicle, ())
     for spec in SIM:  # zero and the default say nothing
         value = spec.typed(values[spec.name])
-        if spec.name in lacking and value != spec.default and np.any(value):
-            raise BadInput(spec.name, value, f'{spec.default} with vehicle: {settings.vehicle}')
+        needed = SET.get(settings.vehicle, {}).get(spec.name, spec.default)
+        if spec.name in fixed and value != needed and np.any(value):
+            raise BadInput(spec.name, value, f'{needed} with vehicle: {settings.vehicle}')
     for made in ('model', 'start', 'failsafe', 'rope', 'bodies', 'approach', 'wait_for'):
         getattr(settings, made)  # raises if invalid
     return settings

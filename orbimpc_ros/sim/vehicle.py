@@ -2,8 +2,7 @@
 """The true motion of a vehicle on SO(n), turned by body rates and driven along its x axis.
 
 It follows the discrete model, or a continuous-time plant with lags and limits in gusty air, or it
-is moved by an engine: the physics of another library inside this simulator. The goal's own motion
-is that of a rope.
+is moved by an engine: the physics of another library inside this simulator.
 """
 
 from __future__ import annotations
@@ -102,22 +101,6 @@ class Model:
         return np.asarray(self.gain * self.forward * vehicle.fraction * vehicle.attitude[:, 0])
 
 
-@dataclass(frozen=True)
-class Rope:
-    """A rope at g(t) = center + velocity t + amplitude * sin(2 pi f t + phase), axis by axis."""
-
-    center: Array  # shape (n,) [m]
-    amplitude: Array  # shape (n,) [m]
-    frequency: float  # f [Hz]
-    phase: Array  # shape (n,) [rad]
-    velocity: Array  # shape (n,) [m/s]
-
-    def at(self, time: float) -> Array:
-        """Return g(t), shape (n,) [m]."""
-        angle = 2.0 * np.pi * self.frequency * time + self.phase
-        return self.center + self.velocity * time + self.amplitude * np.sin(angle)
-
-
 def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
     """Return the vehicle interpolated between two states, at ``time`` [s]."""
     share = (time - earlier.time) / (later.time - earlier.time)
@@ -133,16 +116,9 @@ def between(earlier: Vehicle, later: Vehicle, time: float) -> Vehicle:
 
 def measured(vehicle: Vehicle, velocity_source: str = 'ground') -> Odometry:
     """Return exact odometry of the vehicle; velocity over ``ground`` or through the ``air``."""
-    velocity = vehicle.velocity
-    if velocity_source == 'air':
-        velocity = velocity - vehicle.wind
-    return Odometry(
-        vehicle.time,
-        vehicle.position,
-        vehicle.attitude,
-        vehicle.attitude.T @ velocity,
-        vehicle.body_rate,
-    )
+    past = vehicle.velocity - (vehicle.wind if velocity_source == 'air' else 0.0)
+    place, attitude = vehicle.position, vehicle.attitude
+    return Odometry(vehicle.time, place, attitude, attitude.T @ past, vehicle.body_rate)
 
 
 # --- in continuous time
@@ -269,13 +245,9 @@ class Plant(Model):
 
 # --- in an engine
 
-# What an engine vehicle flies in; its class is in the module of ``engines`` with its name.
-ENGINES = {
-    'cessna': {'dimension': 2, 'translation_order': 1},
-    'hummingbird': {'dimension': 2, 'translation_order': 1},
-    'servicer': {'dimension': 3, 'translation_order': 2},
-}
-EXTRAS = {'servicer': 'basilisk'}  # of this package, which install the libraries, if not physics
+# Vehicles, each with a class in the module of ``engines`` with its name, and the extra of this
+# package that installs its libraries.
+ENGINES = {'cessna': 'physics', 'hummingbird': 'physics', 'servicer': 'basilisk'}
 
 
 def class_of(name: str) -> Callable[..., Engine]:
@@ -288,7 +260,7 @@ def class_of(name: str) -> Callable[..., Engine]:
         module = import_module(f'orbimpc_ros.sim.engines.{name}')
     except ModuleNotFoundError as error:
         library = str(error.name).partition('.')[0]
-        hint = command_for_extra(EXTRAS.get(name, 'physics'))
+        hint = command_for_extra(ENGINES[name])
         raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
     made: Callable[..., Engine] = getattr(module, name.capitalize())
     return made

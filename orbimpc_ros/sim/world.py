@@ -49,7 +49,7 @@ class Flight:
         """Return the current position of the goal, shape (n,) [m]."""
         if self.vehicle.goal is not None:
             return self.vehicle.goal
-        return self.settings.rope.at(self.vehicle.time)
+        return self.settings.rope_at(self.vehicle.time)
 
     @property
     def _place(self) -> Array:
@@ -157,10 +157,10 @@ def departure(settings: SimSettings) -> Flight:
     Raises:
         BadInput: an engine is not installed, or cannot start from the initial state.
     """
-    start, rope = settings.start, settings.rope
+    start = settings.start
     if settings.vehicle in vehicles.ENGINES:
-        start = replace(start, wind=settings.model.blown, goal=rope.at(0.0))
-        given = settings.forward, settings.gust, settings.seed, rope.center
+        start = replace(start, wind=settings.model.blown, goal=settings.rope_at(0.0))
+        given = settings.forward, settings.gust, settings.seed, settings.rope[0]
         try:
             engine = vehicles.class_of(settings.vehicle)(start, *given)
         except EngineFailure as error:
