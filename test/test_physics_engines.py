@@ -15,7 +15,6 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.ros import messages
-from orbimpc_ros.sim import parameters
 from orbimpc_ros.sim import vehicle as engines
 from orbimpc_ros.sim.engines import EngineFailure
 from orbimpc_ros.sim.parameters import SimSettings
@@ -24,7 +23,6 @@ from orbimpc_ros.sim.world import departure, outcome
 from orbimpc_ros.tool import offline
 from orbimpc_ros.tool.study import draws_of
 
-DEFAULTS = {row.name: row.default for row in parameters.SIM}
 BASILISK = "Basilisk is not installed: pip install 'orbimpc_ros[basilisk]' runs this"
 
 
@@ -89,9 +87,8 @@ def test_a_new_engine_is_a_module_and_a_line(monkeypatch):
 @pytest.mark.parametrize('failure', FAILURES)
 def test_an_engine_that_fails_is_named(monkeypatch, failure):
     monkeypatch.setattr(engines, 'class_of', lambda _name: FAILURES[failure])
-    flight = flown(aircraft(wind=STILL), 2.0)[-1]
     with pytest.raises(EngineFailure) as raised:
-        flight.after(0.9, np.zeros(1))
+        flown(aircraft(wind=STILL), 3.0)
     assert str(raised.value) == BLAME[failure]
 
 
@@ -111,16 +108,6 @@ def test_the_library_of_an_engine_that_is_missing_is_named(monkeypatch, name, mo
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(BadInput, match=f'vehicle {name}: {hint}'):
         class_of(name)
-
-
-@pytest.mark.parametrize(('name', 'value'), [('dimension', 3), ('translation_order', 2)])
-def test_an_engine_flies_in_its_own_dimension_and_order(name, value):
-    own = {'dimension': 3, 'translation_order': 2, 'vehicle': 'servicer'}
-    assert parameters.sim_settings(DEFAULTS | own).dimension == 3
-    with pytest.raises(BadInput, match=f'{name} is {value}; allowed: [12] with vehicle: cessna'):
-        parameters.sim_settings(DEFAULTS | {'vehicle': 'cessna', name: value})
-    with pytest.raises(BadInput, match=f'{name} is .; allowed: {value} with vehicle: servicer'):
-        parameters.sim_settings(DEFAULTS | own | {name: DEFAULTS[name]})
 
 
 # --- the Cessna of JSBSim

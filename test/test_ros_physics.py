@@ -28,11 +28,10 @@ DYING = Path(__file__).with_name('dying_engine.py')
 def test_parameters_make_the_aircraft_that_they_say():
     values = settings.resolve(config('cessna.yaml'))
     told = sim_settings(settings.of_sim(values))
-    model = told.model
-    assert (told.vehicle, model.step, model.forward, told.gust) == ('cessna', 0.5, 50.0, 0.7)
+    assert (told.vehicle, told.model.step, told.forward, told.gust) == ('cessna', 0.5, 50.0, 0.7)
     assert told.stall_speed == 27.6
     assert told.rope_length == 40.0
-    assert values['floor.fraction'] * model.forward >= 1.1 * told.stall_speed
+    assert values['floor.fraction'] * told.forward >= 1.1 * told.stall_speed
 
 
 @pytest.mark.parametrize('name', ['cessna', 'rope', 'servicer'])
@@ -66,13 +65,20 @@ def test_a_gust_that_turns_the_nose_turns_no_plan(believed):
         assert abs(report.command.body_rate[0]) < 1e-3
 
 
-@pytest.mark.parametrize(
-    'change', ['goal_path_steps=3', 'rope.frequency=0.4', 'rope.velocity=[1,0,0]']
-)
-def test_how_a_goal_moves_is_not_said_where_the_engine_moves_it(change):
-    name = change.partition('=')[0]
-    with pytest.raises(BadInput, match=f'{name} is .*; allowed: .* with vehicle: hummingbird'):
-        settings.resolve(config('rope.yaml'), [change])
+PLANAR = ('sim.dimension=3', 'sim.translation_order=2')
+REFUSED = {
+    'rope': ['goal_path_steps=3', 'rope.frequency=0.4', 'rope.velocity=[1,0,0]', *PLANAR],
+    'cessna': PLANAR,
+    'servicer': ['sim.dimension=2', 'sim.translation_order=1'],
+}
+
+
+@pytest.mark.parametrize('task', REFUSED)
+def test_an_engine_fixes_how_it_flies_and_one_of_them_how_the_goal_moves(task):
+    for change in REFUSED[task]:
+        name = change.removeprefix('sim.').partition('=')[0]
+        with pytest.raises(BadInput, match=f'{name} is .*; allowed: .* with vehicle: '):
+            settings.resolve(config(f'{task}.yaml'), [change])
 
 
 def test_an_engine_that_fails_ends_the_flight_with_a_line(launch, monkeypatch):

@@ -42,8 +42,8 @@ def test_a_rope_swings_about_its_center():
     """It may drift as well."""
     own = {'rope_center': (5.0, 0.0), 'rope_amplitude': (0.5, 0.25), 'rope_phase': (0.0, np.pi / 2)}
     still, drift = SimSettings(**own, rope_frequency=0.1), np.array([0.3, -0.4])
-    drifting = replace(still, rope_velocity=tuple(drift))
-    np.testing.assert_allclose(drifting.rope_at(40.0), still.rope_at(40.0) + 40.0 * drift)
+    drifted = replace(still, rope_velocity=tuple(drift)).rope_at(40.0)
+    np.testing.assert_allclose(drifted, still.rope_at(40.0) + 40.0 * drift)
     np.testing.assert_allclose(still.rope_at(0.0), [5.0, 0.25])
     np.testing.assert_allclose(still.rope_at(2.5), [5.5, 0.0], atol=1e-12)
     np.testing.assert_allclose(still.rope_at(10.0), still.rope_at(0.0), atol=1e-12)
