@@ -5,11 +5,11 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_546,
+    'orbimpc_ros': 28_490,
     'orbimpc_ros/mpc': 14_742,
     'orbimpc_ros/loop': 3_258,
     'orbimpc_ros/ros': 4_054,
-    'orbimpc_ros/sim': 2_311,
+    'orbimpc_ros/sim': 2_255,
     'orbimpc_ros/tool': 4_054,
     'benchmarks': 3_351,
     'test': 17_912,
