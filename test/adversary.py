@@ -21,8 +21,9 @@ import problems
 from orbimpc_ros.mpc.check import margins, violations
 from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.faces import normals
-from orbimpc_ros.mpc.geometry.rotations import coordinates, nearest
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, nearest
 from orbimpc_ros.mpc.geometry.separation import separation
+from orbimpc_ros.mpc.model.translation import controls
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
 from orbimpc_ros.mpc.problem import (
     Approach,
@@ -191,9 +192,8 @@ def _rotations(rng: Rng, n: int, horizon: int, level: bool) -> np.ndarray:
         q = np.eye(3)
     for k in range(horizon + 1):
         if k:
-            q = q @ (
-                _about_z(rng.uniform(-turn, turn)) if level else problems.rotation(rng, n, turn)
-            )
+            about_z = rng.uniform(-turn, turn) * np.eye(3)[2] if level else None
+            q = q @ (problems.rotation(rng, n, turn) if about_z is None else exp(about_z))
         slow = float(
             rng.choice([rng.uniform(), 10.0 ** rng.uniform(-3, 0), 1.0, 0.0][: 3 + (k == 0)])
         )
@@ -203,11 +203,6 @@ def _rotations(rng: Rng, n: int, horizon: int, level: bool) -> np.ndarray:
         if n == 2:
             made[k, :, 1] = [-made[k, 1, 0], made[k, 0, 0]]
     return made
-
-
-def _about_z(angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _goals(rng: Rng, places: np.ndarray, level: bool) -> tuple[np.ndarray, float]:
@@ -358,7 +353,7 @@ class Part:
         for k, heading in enumerate(self.drawn.plan.rotations[1:, :, 0]):
             near, speed = 10.0 ** self.rng.uniform(-9, -4), float(np.linalg.norm(heading))
             if k != free and speed > 1e-6:
-                self._turned(k, near, near)
+                self._directed(k, self._lifted()[k], near, near)
                 for at, i in ((speed - near, 1), (speed + near, 0)):
                     self.cut(trees.SPEED, self.count + k, 2, at, i)
 
@@ -369,7 +364,8 @@ class Part:
         heading = self.drawn.plan.rotations[k + 1, :, 0]
         speed, kind = float(np.linalg.norm(heading)), int(rng.choice(3, p=[0.5, 0.2, 0.3]))
         if kind == 0 and self.n == 2 and speed > 1e-6:
-            self._turned(k, *rng.permutation([abs(off) * rng.uniform(), abs(off)]))
+            sizes = rng.permutation([abs(off) * rng.uniform(), abs(off)])
+            self._directed(k, self._lifted()[k], *sizes)
         elif kind == 0 and len(self.stated.faces):
             faces = np.array(self.stated.faces, float)
             inside = np.flatnonzero(faces @ heading >= self.posed.problem.floor.fraction)
@@ -383,22 +379,11 @@ class Part:
         elif self.posed.limits.bodies:
             self._beside(k, off)
 
-    def _turned(self, k: int, below: float, above: float) -> None:
-        """Split a heading's direction in the plane on both sides of the flight's."""
-        angle = self._lifted()[k]
-        self._directed(k, angle, below, above)
-
     def _lifted(self) -> np.ndarray:
-        """Return the directions of R_1 e1..R_N e1; unwrapped if turns are limited [rad]."""
-        z, state = self.drawn.plan.rotations[:, :, 0], self.posed.state
-        angles = np.arctan2(z[1:, 1], z[1:, 0])
-        if self.stated.turn < 0:
-            return angles
-        decided = self.posed.problem.rotation_order == 2 and state.coasted is not None
-        ahead = (state.coasted if decided else state.attitude)[:, 0]
-        begun = math.atan2(ahead[1], ahead[0])
-        turns = np.diff(np.concatenate([[begun], angles]))
-        return np.asarray(begun + np.cumsum((turns + np.pi) % (2 * np.pi) - np.pi))
+        """Return the directions of R_1 e1..R_N e1, unwrapped from the initial one [rad]."""
+        _, *headings = self.drawn.plan.rotations[:, :, 0]
+        angles = [math.atan2(y, x) for x, y in headings]
+        return np.unwrap([float(self.stated.low), *angles])[1:]
 
     def _directed(self, choice: int, angle: float, below: float, above: float) -> None:
         """Split directions in the plane on both sides of one; into arcs if all are allowed."""
@@ -454,10 +439,7 @@ class Part:
         """Return the control points of a step on one side of a body, relative to the body."""
         plan, problem = self.drawn.plan, self.posed.problem
         degree = problem.translation.degree
-        (start, end), (out, back) = plan.positions[k : k + 2], plan.velocities[k : k + 2]
-        lead = problem.step / degree
-        inner = [[], [start + lead * out], [start + lead * out, end - lead * back]][degree - 1]
-        points = np.array([start, *inner, end])
+        points = controls(degree, problem.step, plan.positions, plan.velocities)[k]
         first, last = body.shifts[k : k + 2]
         points = points - first - np.linspace(0.0, 1.0, len(points))[:, None] * (last - first)
         return points[_on_side(body, k, degree)]

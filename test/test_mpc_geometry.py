@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from problems import rotation
 
-from orbimpc_ros.mpc.geometry import rotations
 from orbimpc_ros.mpc.geometry import rotations as so
 from orbimpc_ros.mpc.geometry.faces import icosahedron, normals
 from orbimpc_ros.mpc.geometry.separation import separation
@@ -90,19 +89,19 @@ def test_margin_is_the_smallest_eigenvalue_of_the_lmi(seed):
     matrix = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-3, 0.5)
     if seed % 3 == 0:  # equal singular values, determinants of both signs
         matrix = rotation(rng, 3) @ np.diag(rng.choice([0.0, 1.0, -1.0], size=3)) @ rotation(rng, 3)
-    least = np.linalg.eigvalsh(rotations.lmi(rotations.coordinates(matrix)))[0]
-    assert rotations.margin(matrix) == pytest.approx(least, abs=1e-12)
+    least = np.linalg.eigvalsh(so.lmi(so.coordinates(matrix)))[0]
+    assert so.margin(matrix) == pytest.approx(least, abs=1e-12)
 
 
 @pytest.mark.parametrize('n', [2, 3])
 def test_coordinates_are_those_of_the_matrix_with_the_thrust_axis_first(n):
     rng = np.random.default_rng(0)
     q = np.stack([rotation(rng, n) for _ in range(4)])
-    x = rotations.coordinates(q)
-    assert x.shape == (4, rotations.coordinate_count(n))
-    assert np.array_equal(rotations.matrix(x), q) or np.allclose(rotations.matrix(x), q, atol=1e-15)
+    x = so.coordinates(q)
+    assert x.shape == (4, so.coordinate_count(n))
+    assert np.array_equal(so.matrix(x), q) or np.allclose(so.matrix(x), q, atol=1e-15)
     assert np.array_equal(x[:, :n], q[:, :, 0])
-    frobenius = rotations.frobenius_factor(n) * np.sum(x**2, axis=1)
+    frobenius = so.frobenius_factor(n) * np.sum(x**2, axis=1)
     assert np.allclose(frobenius, np.sum(q**2, axis=(1, 2)))
 
 

@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 from problems import floor, seeds
 
-from orbimpc_ros.mpc.geometry.rotations import coordinates, exp
+from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, lmi
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS, step_of
 from orbimpc_ros.mpc.plan import UNPROVED
 from orbimpc_ros.mpc.problem import Ball, Problem, State, Weights
 from orbimpc_ros.mpc.proof import document, sets
+from orbimpc_ros.mpc.proof.arithmetic import as_fractions
 from orbimpc_ros.mpc.proof.document import Refused, certificate_of, text_of, verified
 from orbimpc_ros.mpc.proof.stated import ENDS, NO_LIMITS, STEP, Body, Cone, Statement
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT, LEAF, ROW, one
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, EMPTY, LEAF, ROW, SPEED, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
 OF_A_COST = 1e-9
@@ -268,6 +269,29 @@ def test_the_least_over_the_orbitope(seed):
     points = coordinates(np.array(rotations))
     least = sets.over_orbitope(g.T.ravel(), np.zeros((4, 4)))
     assert abs(held_against(least, points, g.T.ravel())) < 1e-9
+
+
+def test_what_is_tiny_is_rounded_in_proportion_to_its_size():
+    rng = np.random.default_rng(12)
+    for g in rng.normal(size=(20, 9)):
+        least = np.linalg.eigvalsh(lmi(g) - np.eye(4))[0]
+        for size in (1.0, 1e-30, 1e-80):
+            found = sets.over_orbitope(as_fractions(size * g), as_fractions(np.zeros((4, 4))))
+            assert found / Fraction(size) == pytest.approx(least, rel=1e-12)
+    costly = Problem(horizon=1, weights=Weights(0.0, 0.0, 1e48, 0.0))  # only |R_0 e1| costs
+    start = State.at(np.zeros(2), 1e-60 * np.eye(2), attitude=np.eye(2))
+    asked = start, np.zeros((1, 2)), one(np.zeros((1, 2)), np.zeros(1))
+    assert Verifier(costly, Fraction).bound(*asked) == pytest.approx(1e-12)
+
+
+def test_the_speed_of_a_given_rotation_is_not_its_factor():
+    known = document_of(3)
+    known['problem']['rotation_order'] = 2
+    known['state']['rotation'] = [[0.3, 0.0], [0.0, 0.3]]
+    known['limits'] = {'speeds': {'entry': 0.3, 'change': 0.1}}
+    known['tree'] |= {'nodes': [[SPEED, 4, 1, 2, -1], *[[EMPTY, 0, 0, 0, -1]] * 2]}
+    known['tree'] |= {'at': [0.3, 0.0, 0.0]}
+    assert not verified(known).holds
 
 
 def test_what_takes_more_work_than_its_length_may_is_refused():

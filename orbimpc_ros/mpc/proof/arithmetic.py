@@ -22,7 +22,7 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import COMPILED, compiled, entry_point
 
 Number = Any  # a float or a Fraction
-BITS = 160  # after the point, of rounded numbers
+BITS = 160  # after the point, of rounded numbers; of those below 1, significant ones
 UNIT = 1 << BITS
 FINE = 200  # bits after the point, of angles
 PI = Fraction(3141592653589793238462643383279502884197169399375105820974944, 10**60)
@@ -87,7 +87,8 @@ def _root(x):
 def _root_above(x: Fraction) -> Fraction:
     if not x > 0:
         return x * 0
-    return Fraction(math.isqrt((x.numerator << 2 * BITS) // x.denominator) + 1, UNIT)
+    places = _places(x)
+    return Fraction(math.isqrt((x.numerator << 2 * places) // x.denominator) + 1, 1 << places)
 
 
 def _cosine_and_sine(angle):
@@ -120,8 +121,13 @@ def _same(x):
     return x
 
 
+def _places(x: Fraction) -> int:
+    return BITS + max(0, x.denominator.bit_length() - x.numerator.bit_length())
+
+
 def _coarse(x: Fraction) -> Fraction:
-    return Fraction((x.numerator << BITS) // x.denominator, UNIT)
+    places = _places(x)
+    return Fraction((x.numerator << places) // x.denominator, 1 << places)
 
 
 slack = by_type(_slack, FRACTIONS.__mul__)  # largest rounding error of sums, from their terms' size

@@ -125,7 +125,7 @@ def slid(stated, slide, flown):
         down, square = -slide[k, 2], slide[k, 0] ** 2 + slide[k, 1] ** 2
         if down == 0 and square == 0:
             continue
-        if sine < 0 or down < 0 or cosine * cosine * square > sine * sine * down * down:
+        if not sine > 0 or down < 0 or cosine * cosine * square > sine * sine * down * down:
             return value, size, False
         eased = down * stated.goals[k, 3] / stated.cosine
         value, size = value - eased, size + 2 * eased

@@ -384,11 +384,11 @@ class Statement:
         """Return the limits on speeds."""
         problem, number, known = self.problem, self._number, state.coasted
         least, full, late = self.known.least, self.known.fast, problem.rotation_order == 2
+        if late and known is None:  # R_1 is given: its factor is 1, and no speed to change from
+            return {'slow': full, 'fast': full}
         entry, change = number(limits.entry), number(min(2.0, limits.change))
         slow, fast = max(least, entry - change), min(full, entry + change)
-        if late and known is None:
-            slow = fast = full  # R_1 is given
-        if late and known is not None and problem.floor.shape == 'polygon':
+        if known is not None and late and problem.floor.shape == 'polygon':
             along = max(self.known.faces @ self._rows(known[:, 0]))
             if 0 < along < 1:  # on this axis the faces are farther
                 slow = max(slow, least / along * number(INWARD))
