@@ -504,7 +504,8 @@ class Part:
 
     def bound(self, leaf: ProofTree, empty: bool) -> tuple[float, bool]:
         """Return the bound that a leaf proves on the part, and True if it is sound."""
-        known = self.stated, self.region, self.depth, tree_in_fractions(leaf), 0, empty, self.work
+        node = np.array([trees.EMPTY if empty else trees.LEAF, 0, 0, 0, 0])
+        known = self.stated, self.region, self.depth, tree_in_fractions(leaf), node, self.work
         value, sound = leaf_bound(*known)
         return float(value), sound
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.arithmetic import as_fractions, coarse, generic, slack
-from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, TIED, WANTED, pulled_back, rolled
-from orbimpc_ros.mpc.proof.rows import pressed, pulled, slid, towed
+from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, WANTED, pulled_back, rolled
+from orbimpc_ros.mpc.proof.rows import counted, pressed, pulled, slid, towed
 from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, size_of
 from orbimpc_ros.mpc.proof.splits import GONE, HELD, begin, part_of
 from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, EMPTY, KIND, LEAF, ROW
@@ -57,6 +57,7 @@ class Work(NamedTuple):
     Attributes:
         flown: positions relative to s_0, velocities, and forces on both, shape (4, N + 1, n).
         slopes: shape (N, d).
+        total: the bound of a leaf, and the size of the terms it is summed from, shape (2,).
         vectors: a normal, and the remainder of a slope, shape (2, d or 3).
         matrix: shape (4, 4).
         squares: what is left of the Hessian of the cost, and two rows, shape (N + 2, N).
@@ -67,6 +68,7 @@ class Work(NamedTuple):
 
     flown: Any
     slopes: Any
+    total: Any
     vectors: Any
     matrix: Any
     squares: Any
@@ -115,19 +117,19 @@ def _flown(stated, goals, point, flown):
 
 
 @generic
-def _of_decided(stated, span, g, length, shor):
-    """Return the least cost of the first step if R_1 is decided up to a factor, and its size."""
+def _of_decided(stated, span, g, length, shor, total):
+    """Add the least cost of the first step if R_1 is decided up to a factor."""
     known = stated.start[DECIDED]
     size, speed, along = abs(length) + abs(shor), size_of(known, stated.n), 0 * length
     for c in range(len(g)):
         along, size = along + g[c] * known[c], size + abs(g[c] * known[c])
     slope, curve = along + length * speed, shor * speed * speed
-    return over_speeds(slope, curve, span[0], span[1]), size * (1 + speed * speed)
+    counted(total, over_speeds(slope, curve, span[0], span[1]), size * (1 + speed * speed))
 
 
 @generic
 def _of_step(stated, known, k, tree, leaf, length, shor, work):
-    """Return the least contribution of a step to a bound, and the size of its terms.
+    """Add the least contribution of a step to a bound.
 
     If a share of the slope is bounded by the limits on R e1 alone, the share and the remainder are
     minimised separately.
@@ -152,11 +154,11 @@ def _of_step(stated, known, k, tree, leaf, length, shor, work):
         own[c] = part if split else g[c]
         rest[c] = g[c] - own[c]
         size = size + abs(own[c]) + 2 * abs(rest[c])
-    value = over_orbitope(rest, work.matrix) if whole else zero
+    counted(work.total, over_orbitope(rest, work.matrix) if whole else zero, size)
     for i in range(2 if split and not whole else 1):
         size_weight, curve = (length, shor) if i == 0 else (zero, zero)
-        value = value + over_stage(stated, known, k, work.vectors[i], size_weight, curve)
-    return value, size
+        least = over_stage(stated, known, k, work.vectors[i], size_weight, curve)
+        counted(work.total, least, zero)
 
 
 @generic
@@ -169,83 +171,75 @@ def _at_point(stated, start, goals, point, flown, slopes):
 
 
 @generic
-def _tangent(n, point, shor, slopes):
-    """Subtract a leaf's curvature from slopes; return the tangent's value at 0, and its size."""
+def _tangent(n, point, shor, total, slopes):
+    """Subtract a leaf's curvature from slopes, and add the tangent's value at 0."""
     value = size = 0 * shor[0]
     for k in range(len(point)):
         for c in range(point.shape[1]):
-            bent = shor[k] * point[k, c] if c < n else 0 * value
+            bent = shor[k] * point[k, c] if c < n else 0 * shor[k]
             along, kept = slopes[k, c] * point[k, c], bent * point[k, c] / 2
             slopes[k, c] = slopes[k, c] - bent
             value, size = value + kept - along, size + abs(along) + abs(kept)
-    return value, size
+    counted(total, value, size)
 
 
 @generic
 def _held(stated, region, depth, tree, leaf, work):
-    """Add forces of a leaf's multipliers; return their value, its size, and if they are valid."""
-    flown = work.flown
-    begun = tree.press_end[leaf - 1] if leaf > 0 else 0
-    value = size = 0 * stated.full
-    held = 0 <= begun <= tree.press_end[leaf] <= len(tree.press)
-    if held and begun < tree.press_end[leaf]:
-        value, size, held = pressed(stated, region, depth, tree, begun, leaf, work)
-    if tree.tether.size > 0:
-        point, tied = tree.point[leaf], stated.start[TIED]
-        more, terms, sound = towed(stated, tree.tether[leaf], point, tied, work.slopes)
-        value, size, held = value + more, size + terms, held and sound
-    if tree.slide.size > 0 and stated.n == 3:
-        more, terms, sound = slid(stated, tree.slide[leaf], flown)
-        value, size, held = value + more, size + terms, held and sound
+    """Add a leaf's multipliers and their forces; return whether they are valid."""
+    begun, end = tree.press_end[leaf - 1] if leaf > 0 else 0, tree.press_end[leaf]
+    held = 0 <= begun <= end <= len(tree.press)
+    if held and begun < end:
+        held = pressed(stated, region, depth, tree, begun, leaf, work)
+    if held and tree.tether.size > 0:
+        held = towed(stated, tree.tether[leaf], tree.point[leaf], work.total, work.slopes)
+    if held and tree.slide.size > 0 and stated.n == 3:
+        held = slid(stated, tree.slide[leaf], work.total, work.flown)
     if tree.pull.size > 0:
-        more, terms = pulled(stated, tree.pull[leaf], flown)
-        value, size = value + more, size + terms
-    return value, size, held
+        pulled(stated, tree.pull[leaf], work.total, work.flown)
+    return held
 
 
 @generic
-def leaf_bound(stated, region, depth, tree, leaf, empty, work):
-    """Return the bound that a leaf proves, and whether its multipliers are sound.
+def leaf_bound(stated, region, depth, tree, node, work):
+    """Return the bound that a leaf proves, and whether it is sound.
+
+    That of an empty leaf has no cost, and must be positive.
 
     Args:
         stated: the problem.
         region: restrictions of choices from the root to the leaf.
         depth: of the leaf.
         tree: whose arrays fit the problem.
-        leaf: its row.
-        empty: whether to prove that the leaf is empty: by a positive bound without any cost.
+        node: of the leaf, shape (5,).
         work: work arrays.
     """
-    point, shor, slopes, zero = tree.point[leaf], tree.shor[leaf], work.slopes, 0 * stated.full
-    count, value = len(point), zero
+    empty, leaf, zero, total = node[KIND] == EMPTY, node[ROW], 0 * stated.full, work.total
+    if not 0 <= leaf < len(tree.point):
+        return zero, False
+    point, shor, slopes, count = tree.point[leaf], tree.shor[leaf], work.slopes, len(work.slopes)
     known = region.part[depth], region.span[depth], region.corners[depth], work.ends
+    total[:] = zero
     if empty:
         rolled(stated.motion, stated.start, point, work.flown)
         slopes[:] = zero
     else:
-        value = _at_point(stated, stated.start, stated.goals, point, work.flown, slopes)
-        value = value + stated.weights[1, 0] * size_of(stated.start[FIRST], stated.n)
-    size = value
-    more, terms, held = _held(stated, region, depth, tree, leaf, work)
-    value, size = value + more, size + terms
-    if not held:
-        return value, False
+        cost = _at_point(stated, stated.start, stated.goals, point, work.flown, slopes)
+        cost = cost + stated.weights[1, 0] * size_of(stated.start[FIRST], stated.n)
+        counted(total, cost, cost)
+    if not _held(stated, region, depth, tree, leaf, work):
+        return zero, False
     pulled_back(stated.motion, work.flown, slopes)
-    more, terms = _tangent(0 if empty else stated.n, point, shor, slopes)
-    value, size = value + more, size + terms
-    if not empty:
-        convex, off = _lost(stated, shor, point, work)
-        value = value - off
-        if not convex:
-            return value, False
+    _tangent(0 if empty else stated.n, point, shor, total, slopes)
+    if not (empty or _is_bound(stated, shor, point, work)):
+        return zero, False
     for k in range(count):
         length, kept = (zero, zero) if empty else (stated.weights[1, k + 1], shor[k])
         if k < stated.order - 1:
-            more, terms = _of_decided(stated, known[1][count], slopes[0], length, kept)
+            _of_decided(stated, known[1][count], slopes[0], length, kept, total)
         else:
-            more, terms = _of_step(stated, known, k, tree, leaf, length, kept, work)
-        value, size = value + more, size + terms
-    return value - slack(size) * (count + 4), True
+            _of_step(stated, known, k, tree, leaf, length, kept, work)
+    value = total[0] - slack(total[1]) * (count + 4)
+    return value, abs(value) >= 0 and (value > 0 or not empty)
 
 
 @generic
@@ -295,7 +289,7 @@ def tree_bound(stated, tree, walk, region, work, least, found, number, most):
                 return least, 0, 0, UNSOUND
             continue
         seen += 1
-        value, sound = _proved(stated, region, walk[DEPTH, t], tree, node, work)
+        value, sound = leaf_bound(stated, region, walk[DEPTH, t], tree, node, work)
         if not sound:
             return least, 0, 0, UNSOUND
         if node[KIND] == LEAF:
@@ -332,16 +326,6 @@ def _entered(stated, tree, walk, number, region):
     return part_of(stated, whole, tree.at[above], i, depth, region)
 
 
-@generic
-def _proved(stated, region, depth, tree, node, work):
-    """Return the bound of a leaf, and whether it is valid; see :func:`leaf_bound`."""
-    empty = node[KIND] == EMPTY
-    if not 0 <= node[ROW] < len(tree.point):
-        return 0 * stated.full, False
-    value, sound = leaf_bound(stated, region, depth, tree, node[ROW], empty, work)
-    return value, sound and abs(value) >= 0 and (value > 0 or not empty)
-
-
 # --- convexity of the cost less the curvature that is assigned to single steps
 
 
@@ -355,12 +339,12 @@ def _is_within(shor, most):
 
 
 @generic
-def _lost(stated, shor, point, work):
-    """Return whether the cost less a leaf's curvature is convex, and the error of its tangent.
+def _is_bound(stated, shor, point, work):
+    """Return whether the cost less a leaf's curvature is convex, so that its tangent is a bound.
 
-    If plans must arrive, convex on the null space of the arrival's rows. The tangent has an error
-    if its point misses the arrival by rounding. Without any curvature the cost is convex, and with
-    less than was found to be convex it is convex, too.
+    If plans must arrive, convex on the null space of the arrival's rows. The tangent has an error,
+    which is subtracted, if its point misses the arrival by rounding. Without any curvature the cost
+    is convex, and with less than was found to be convex it is convex, too.
 
     Args:
         stated: the problem.
@@ -370,7 +354,7 @@ def _lost(stated, shor, point, work):
     """
     units, zero = work.units, 0 * stated.full
     if _is_within(shor, work.convex):
-        return True, zero
+        return True
     if units.slopes[0, 0] == 0:  # not set yet: its columns are the gradients at unit headings
         _at_point(stated, units.start, units.goals, units.point, units.flown, units.slopes)
         pulled_back(stated.motion, units.flown, units.slopes)
@@ -385,11 +369,12 @@ def _lost(stated, shor, point, work):
     for k in range(count):
         for c in range(stated.n):
             longest = max(longest, abs(point[k, c]))
-    taken = 2 * top * count * off * (2 * stated.n * count * (1 + longest) + off)
+    lost = 2 * top * count * off * (2 * stated.n * count * (1 + longest) + off)
+    counted(work.total, -lost, zero)
     convex = _is_convex(m, 8 * count * slack(1 + zero))
     for k in range(count if convex and stated.arrives == 0 else 0):
         work.convex[k] = shor[k]
-    return convex, taken
+    return convex
 
 
 @generic
@@ -453,4 +438,5 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     units = Units(zeros(6, count), zeros(count, count), one, path, square)
     flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
     squares, ends = zeros(count + 2, count), zeros(count, 2, 5)
-    return Work(flown, slopes, vectors, zeros(4, 4), squares, ends, zeros(count), units)
+    matrix, total = zeros(4, 4), zeros(2)
+    return Work(flown, slopes, total, vectors, matrix, squares, ends, zeros(count), units)

@@ -1,8 +1,9 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Multipliers of constraints between steps: sides of bodies, turns, a glide slope, an arrival.
 
-Each adds a term to the cost that is not positive on any feasible trajectory, as a value at the
-tangent point and forces, which are its gradient. In either arithmetic.
+Each adds a term to the cost that is not positive on any feasible trajectory: its value at the
+tangent point and the size of what it is summed from to a total, shape (2,), and forces, which are
+its gradient. In either arithmetic.
 
 Mathematics: docs/proofs.md.
 """
@@ -10,6 +11,7 @@ Mathematics: docs/proofs.md.
 from __future__ import annotations
 
 from orbimpc_ros.mpc.proof.arithmetic import direction, generic, slack
+from orbimpc_ros.mpc.proof.flight import TIED
 from orbimpc_ros.mpc.proof.sets import about, size_of
 from orbimpc_ros.mpc.proof.splits import WHOLE
 from orbimpc_ros.mpc.proof.tree import POINTS
@@ -55,20 +57,36 @@ def side_of(stated, choice, part, span, corners, normal):
 
 
 @generic
+def counted(total, value, size):
+    """Add a value and the size of its terms to the sums of a leaf."""
+    total[0], total[1] = total[0] + value, total[1] + size
+
+
+@generic
+def _forced(total, flown, k, on, vector, place):
+    """Add vector . (x - on_s place), where x = on_s s_k + on_p p_k, and its forces."""
+    on_s, on_p = on
+    for c in range(flown.shape[2]):
+        x, middle = on_s * flown[0, k, c] + on_p * flown[1, k, c], on_s * place[c]
+        counted(total, vector[c] * (x - middle), abs(vector[c]) * (abs(x) + abs(middle)))
+        flown[2, k, c] = flown[2, k, c] + on_s * vector[c]
+        flown[3, k, c] = flown[3, k, c] + on_p * vector[c]
+
+
+@generic
 def pressed(stated, region, depth, tree, begun, leaf, work):
-    """Add the forces of multipliers of half-spaces next to bodies, of a leaf or of nodes above it.
+    """Add the multipliers of half-spaces next to bodies, of a leaf or of nodes above it.
 
     Returns:
-        Their value; the size of its terms; whether all of them have such a half-space.
+        Whether all of them have such a half-space.
     """
-    motion, bodies, zero = stated.motion, stated.bodies, 0 * stated.full
-    value, size, normal, n = zero, zero, work.vectors[0], stated.n
-    count, degree, flown = len(work.slopes), motion.degree, work.flown
-    end, rows = tree.press_end[leaf], POINTS * count * len(bodies.at)
+    motion, bodies, normal = stated.motion, stated.bodies, work.vectors[0]
+    count, degree, end = len(work.slopes), motion.degree, tree.press_end[leaf]
+    rows = POINTS * count * len(bodies.at)
     for e in range(begun, end):
         y, row = tree.press[e], tree.press_row[e]
         if not (y >= 0 and 0 <= row < rows * (depth + 1)):
-            return value, size, False
+            return False
         if y == 0:
             continue
         d, row = depth - row // rows, row % rows
@@ -78,76 +96,57 @@ def pressed(stated, region, depth, tree, begun, leaf, work):
         part, span, corners = region.part[d], region.span[d], region.corners[d]
         out, off, terms = side_of(stated, choice, part, span, corners, normal)
         if i < 0 or terms < 0:
-            return value, size, False
-        value, size = value + y * (out - off), size + y * terms
+            return False
+        counted(work.total, y * (out - off), y * terms)
+        for c in range(stated.n):
+            normal[c] = -y * normal[c]
         # An inner Bernstein control point is ahead of, or behind, the nearest end by its velocity.
-        late, led = 1 if 2 * i > degree else 0, zero
+        late, led = 1 if 2 * i > degree else 0, 0 * y
         if 0 < i < degree:
             led = -motion.lead if late == 1 else motion.lead
-        for c in range(n):
-            force, middle = y * normal[c], bodies.places[j, k, at, c]
-            place = flown[0, k + late, c] + led * flown[1, k + late, c]
-            value = value + force * (middle - place)
-            size = size + abs(force) * (abs(middle) + abs(place))
-            flown[2, k + late, c] = flown[2, k + late, c] - force
-            flown[3, k + late, c] = flown[3, k + late, c] - force * led
-    return value, size, True
+        _forced(work.total, work.flown, k + late, (1, led), normal, bodies.places[j, k, at])
+    return True
 
 
 @generic
-def towed(stated, tether, point, tied, slopes):
-    """Add the slopes of multipliers of turns; return as :func:`pressed` does."""
-    chord, n = stated.chord, stated.n
-    value, size = 0 * chord, 0 * chord
+def towed(stated, tether, point, total, slopes):
+    """Add the slopes of multipliers of turns; return whether there is a limit for each."""
+    chord, n, tied = stated.chord, stated.n, stated.start[TIED]
     for k in range(len(tether)):
         steep = size_of(tether[k], n)
         if steep == 0:
             continue
         if chord < 0 or k < stated.begun:
-            return value, size, False
-        value, size = value - chord * steep, size + chord * steep
+            return False
+        counted(total, -chord * steep, chord * steep)
         for c in range(n):
-            before = point[k - 1, c] if k > 0 else tied[c]
-            value = value + tether[k, c] * (point[k, c] - before)
-            size = size + abs(tether[k, c]) * (abs(point[k, c]) + abs(before))
-            slopes[k, c] = slopes[k, c] + tether[k, c]
+            pull, z, before = tether[k, c], point[k, c], point[k - 1, c] if k > 0 else tied[c]
+            counted(total, pull * (z - before), abs(pull) * (abs(z) + abs(before)))
+            slopes[k, c] = slopes[k, c] + pull
             if k > 0:
-                slopes[k - 1, c] = slopes[k - 1, c] - tether[k, c]
-    return value, size, True
+                slopes[k - 1, c] = slopes[k - 1, c] - pull
+    return True
 
 
 @generic
-def slid(stated, slide, flown):
-    """Add the forces of multipliers of the glide slope; return as :func:`pressed` does."""
-    value, size = 0 * stated.chord, 0 * stated.chord
+def slid(stated, slide, total, flown):
+    """Add the multipliers of the glide slope; return whether they are in its dual cone."""
     sine, cosine = stated.sine - 2 * slack(stated.cosine), stated.cosine + 2 * slack(stated.cosine)
     for k in range(len(slide)):
         down, square = -slide[k, 2], slide[k, 0] ** 2 + slide[k, 1] ** 2
         if down == 0 and square == 0:
             continue
         if not sine > 0 or down < 0 or cosine * cosine * square > sine * sine * down * down:
-            return value, size, False
+            return False
         eased = down * stated.goals[k, 3] / stated.cosine
-        value, size = value - eased, size + 2 * eased
-        for c in range(3):
-            force = slide[k, c] * (flown[0, k + 1, c] - stated.goals[k, c])
-            value, size = value + force, size + abs(force)
-            flown[2, k + 1, c] = flown[2, k + 1, c] + slide[k, c]
-    return value, size, True
+        counted(total, -eased, 2 * eased)
+        _forced(total, flown, k + 1, (1, 0), slide[k], stated.goals[k])
+    return True
 
 
 @generic
-def pulled(stated, pull, flown):
-    """Add the forces of multipliers of an arrival.
-
-    Returns:
-        Their value; the size of its terms.
-    """
-    value, size, count = 0 * stated.chord, 0 * stated.chord, len(stated.goals)
+def pulled(stated, pull, total, flown):
+    """Add the multipliers of an arrival."""
+    count = len(stated.goals)
     for i in range(len(pull)):
-        for c in range(pull.shape[1]):
-            missed = flown[i, count, c] - (stated.goals[count - 1, c] if i == 0 else 0 * value)
-            force = pull[i, c] * missed
-            value, size = value + force, size + abs(force)
-            flown[2 + i, count, c] = flown[2 + i, count, c] + pull[i, c]
-    return value, size
+        _forced(total, flown, count, (1 - i, i), pull[i], stated.goals[count - 1])
