@@ -23,12 +23,12 @@ from orbimpc_ros.mpc.proof.arithmetic import as_fractions, coarse, generic, slac
 from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import counted, pressed, pulled, slid, towed
 from orbimpc_ros.mpc.proof.sets import dot, over_orbitope, over_speeds, over_stage, size_of
-from orbimpc_ros.mpc.proof.splits import GONE, HELD, begin, part_of
+from orbimpc_ros.mpc.proof.splits import HELD, WRONG, begin, part_of
 from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, EMPTY, KIND, LEAF, ROW
 
 # The walk has ended; the tree is invalid; the walk has paused, or needs a row for another depth.
 ENDED, UNSOUND, PAUSED, DEEP = range(4)
-DEPTH, WAITING, PARENT = range(3)  # rows of a walk: of each node; a stack of nodes to visit
+DEPTH, PARENT = range(2)  # rows of a walk
 
 
 class Units(NamedTuple):
@@ -243,87 +243,80 @@ def leaf_bound(stated, region, depth, tree, node, work):
 
 
 @generic
-def tree_bound(stated, tree, walk, region, work, least, found, number, most):
+def tree_bound(stated, tree, walk, region, work, least, found, t, most):
     """Return the least bound of a tree's leaves, the number of these, and the outcome.
 
-    A walk through the tree may pause: another call with the returned values resumes it.
+    The tree is walked in depth-first order. The walk may pause: another call with the returned
+    values resumes it.
 
     Args:
         stated: the problem.
         tree: whose arrays fit the problem.
-        walk: depth of each node, -1 before it is reached; a stack of the nodes to visit, and their
-            parents; shape (3, M).
+        walk: depth of each node, -1 before it is reached, and its parent; shape (2, M).
         region: to be written, a row for each depth.
         work: to be written.
         least: of the bounds so far.
         found: number of leaves with a bound so far.
-        number: of nodes on the stack; 0 before the walk begins.
+        t: next node; 0 before the walk begins.
         most: leaves after which it pauses.
 
     Returns:
-        The least bound; the number of leaves with one; the number of nodes on the stack;
-        ``ENDED``, ``UNSOUND``, ``PAUSED``, or ``DEEP`` if the region has too few rows. A tree
-        that ends without any bound refutes.
+        The least bound; the number of leaves with one; the next node; ``ENDED``, ``UNSOUND``,
+        ``PAUSED``, or ``DEEP`` if the region has too few rows. A tree that ends without any bound
+        refutes.
     """
-    nodes, waiting, seen = tree.nodes, walk[WAITING], 0
-    if number == 0:
-        known = begin(stated, tree.origins, region.part[0], region.span[0])
-        if known != HELD:
-            return least, 0, 0, ENDED if known == GONE else UNSOUND
+    nodes, seen, known = tree.nodes, 0, HELD
+    if t == 0:
         walk[DEPTH], walk[DEPTH, 0] = -1, 0
-        number, waiting[0] = 1, 0
-    while number > 0:
-        t = waiting[number - 1]
-        if seen == most or walk[DEPTH, t] == len(region.part):
-            return least, found, number, PAUSED if seen == most else DEEP
-        number -= 1
-        known = _entered(stated, tree, walk, number, region)
-        if known == GONE:
-            continue
-        if known != HELD:
-            return least, 0, 0, UNSOUND
+        known = begin(stated, tree.origins, region.part[0], region.span[0])
+    while True:
+        if t > 0:
+            depth, above = walk[DEPTH, t], walk[PARENT, t]
+            if seen == most or depth == len(region.part):
+                return least, found, t, PAUSED if seen == most else DEEP
+            whole = nodes[above]
+            known = part_of(stated, whole, tree.at[above], t - whole[CHILD], depth, region)
         node = nodes[t]
-        if node[KIND] != LEAF and node[KIND] != EMPTY:
-            number = _put(nodes, walk, t, number)
-            if number < 0:
-                return least, 0, 0, UNSOUND
-            continue
-        seen += 1
-        value, sound = leaf_bound(stated, region, walk[DEPTH, t], tree, node, work)
+        splits = known == HELD and node[KIND] != LEAF and node[KIND] != EMPTY
+        sound = known != WRONG and not (splits and not _entered(nodes, walk, t))
+        if sound and known == HELD and not splits:
+            seen += 1
+            value, sound = leaf_bound(stated, region, walk[DEPTH, t], tree, node, work)
+            if node[KIND] == LEAF:
+                least = value if found == 0 else min(least, value)
+                found += 1
         if not sound:
             return least, 0, 0, UNSOUND
-        if node[KIND] == LEAF:
-            least = value if found == 0 else min(least, value)
-            found += 1
-    return least, found, 0, ENDED
+        t = node[CHILD] if splits else _next(nodes, walk, t)
+        if t == 0:
+            return least, found, 0, ENDED
 
 
 @generic
-def _put(nodes, walk, t, number):
-    """Put the children of a node on the stack; return the number of nodes on it.
+def _entered(nodes, walk, t):
+    """Set depths and parent of a node's children; return whether they may be its children.
 
-    It is negative if children are missing, have another parent, or are before theirs.
+    They may not if there are none, or if they have another parent or are before theirs.
     """
     first, parts = nodes[t, CHILD], nodes[t, CHILDREN]
     if parts < 1 or first <= t or first > len(nodes) - parts:
-        return -1
-    for i in range(parts):
-        if walk[DEPTH, first + i] >= 0:
-            return -1
-        walk[DEPTH, first + i] = walk[DEPTH, t] + 1
-        walk[WAITING, number + i], walk[PARENT, number + i] = first + i, t
-    return number + parts
+        return False
+    for child in range(first, first + parts):
+        if walk[DEPTH, child] >= 0:
+            return False
+        walk[DEPTH, child], walk[PARENT, child] = walk[DEPTH, t] + 1, t
+    return True
 
 
 @generic
-def _entered(stated, tree, walk, number, region):
-    """Set the restrictions of a node on the stack from its parent's; see :func:`part_of`."""
-    t, above = walk[WAITING, number], walk[PARENT, number]
-    if t == 0:
-        return HELD
-    whole = tree.nodes[above]
-    i, depth = t - whole[CHILD], walk[DEPTH, t]
-    return part_of(stated, whole, tree.at[above], i, depth, region)
+def _next(nodes, walk, t):
+    """Return the first node after a node's descendants, in depth-first order; 0 without one."""
+    while t > 0:
+        above = walk[PARENT, t]
+        if t + 1 < nodes[above, CHILD] + nodes[above, CHILDREN]:
+            return t + 1
+        t = above
+    return 0
 
 
 # --- convexity of the cost less the curvature that is assigned to single steps

@@ -90,7 +90,7 @@ class Verifier:
         if limits is None:
             limits = self._statement.limits(state, goals)
         stated = self._statement.of(state, goals, limits)
-        walk = np.empty((3, len(tree.nodes)), np.int64)
+        walk = np.empty((2, len(tree.nodes)), np.int64)
         choices = (2 + len(stated.bodies.at)) * problem.horizon
         if self._region.part.shape[1] != choices:
             self._region = region_of(DEPTHS, choices, problem.dimension, self._kind)
