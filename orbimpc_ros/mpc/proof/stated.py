@@ -209,14 +209,6 @@ class Stated(NamedTuple):
     bodies: Bodies
 
 
-def width_of(problem: Problem) -> int:
-    """Return the number of coordinates of a rotation that are in the cost."""
-    w = problem.weights
-    if problem.dimension == 2:
-        return 2
-    return 9 if w.input or w.attitude or problem.rotation_order == 2 else 3
-
-
 class Statement:
     """The numbers of one problem for any state, in one arithmetic.
 
@@ -233,7 +225,12 @@ class Statement:
 
     def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
         self.problem, self._number = problem, number
-        self.width, self._motion = width_of(problem), self._moved()
+        w, plane, late = problem.weights, problem.dimension == 2, problem.rotation_order == 2
+        self.width = 2 if plane else 9 if w.input or w.attitude or late else 3
+        self._motion = self._moved()
+        self._caps = [cap(problem.tilt)] if 0.0 < problem.tilt <= STEEPEST_CAP else []
+        free = not (late or problem.max_rate or problem.inertial or w.position or w.input)
+        self._alike = plane and free  # the first steps are, unless limits from a state differ
         self.known = self._stated()
 
     def _rows(self, values: Any) -> Rows:
@@ -263,6 +260,7 @@ class Statement:
         outward = self._rows(normals(3, faces) if faces and n == 3 else np.zeros((0, n)))
         if share:
             outward = np.array([direction(i * share) for i in range(faces)])
+        patches = [icosahedron(), *self._caps] if n == 3 else [np.zeros((0, 3, 3))]
         still = self._rows(np.zeros((6, self.width)))
         return Stated(
             n=n,
@@ -282,7 +280,7 @@ class Statement:
             least=number(problem.least_speed if floor.shape in SPEEDS else 0),
             share=share,
             faces=outward,
-            patches=self._rows(_patches(n, problem.tilt)),
+            patches=self._rows(np.concatenate(patches)),
             cone_step=np.zeros(0, np.int64),
             cones=self._rows(np.zeros((0, n + 4))),
             arrives=(1 + problem.inertial) * (problem.terminal == 'constraint'),
@@ -329,7 +327,11 @@ class Statement:
         entry, change = 0.0, math.inf
         if problem.max_acceleration and problem.rotation_order == 1:
             entry, change = entry_speed(problem, state), problem.speed_change
-        bodies = self.boxes + _moving(problem, state)
+        met = traffic_of(problem, state)
+        # The end of a step alone is bounded more tightly than the hull of its control points.
+        tracks = zip(met.bodies, met.shifts, met.grown, strict=True) if met else ()
+        moving = (Body(each, of, *how) for each, *how in tracks for of in (END, STEP))
+        bodies = self.boxes + tuple(moving)
         return Limits(tuple(cones), slope, eased, bodies, entry, change)
 
     def of(self, state: State, aims: Array, limits: Limits) -> Stated:
@@ -407,12 +409,12 @@ class Statement:
         """Return the cones of each step, and the last one in the plane, which a sector meets."""
         if not cones:
             return {}
-        number, tilt, made = self._number, self.problem.tilt, dict[str, Any]()
+        number, made = self._number, dict[str, Any]()
         axes = self._rows([each.axis for each in cones])
         units = axes / roots((axes * axes).sum(axis=1))[:, None]
         angles = np.array([direction(number(each.angle)) for each in cones])
-        capped = 0.0 < tilt <= STEEPEST_CAP
-        least = [(each.least, capped and each.axis == UP and each.angle == tilt) for each in cones]
+        tilt = self.problem.tilt if self._caps else None
+        least = [(each.least, each.axis == UP and each.angle == tilt) for each in cones]
         rows = np.concatenate([units, angles, self._rows(least)], axis=1)
         made['cones'] = np.repeat(rows, [len(each.steps) for each in cones], axis=0)
         made['cone_step'] = np.array([k - 1 for each in cones for k in each.steps], np.int64)
@@ -438,14 +440,6 @@ class Statement:
                 raise BadInput('state.attitude', ahead.tolist(), 'a rotation')
         return {'low': heading - wider, 'high': heading + wider, 'turn': turn}
 
-    @cached_property
-    def _alike(self) -> bool:
-        """Return whether the first steps are exchangeable without any limits from a state."""
-        problem, weights = self.problem, self.problem.weights
-        costly = weights.position or weights.input or problem.inertial
-        freely = problem.rotation_order == 1 and not problem.max_rate
-        return problem.dimension == 2 and freely and not costly
-
     # --- the constraints between steps
 
     @cached_property
@@ -458,9 +452,10 @@ class Statement:
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
         n, count, degree = self.problem.dimension, self.problem.horizon, self._motion.degree
-        sizes = [_corners_and_radius(each.shape) for each in bodies]
-        low, high, radii = map(self._rows, zip(*sizes, strict=True) if sizes else ((), (), ()))
-        low, high, radii = low.reshape(-1, n), high.reshape(-1, n), radii.reshape(-1, 1)
+        boxes = [(each.shape, isinstance(each.shape, Box)) for each in bodies]
+        low = self._rows([b.minimum if box else b.centre for b, box in boxes]).reshape(-1, n)
+        high = self._rows([b.maximum if box else b.centre for b, box in boxes]).reshape(-1, n)
+        radii = self._rows([0.0 if box else b.radius for b, box in boxes]).reshape(-1, 1)
         extents = np.concatenate([0 * low, high - low, radii], axis=1)
         shifts = self._rows([each.shifts for each in bodies]).reshape(-1, count + 1, n)
         at = rows_of(tuple(each.of for each in bodies), count, degree)
@@ -502,16 +497,6 @@ class Statement:
         return np.abs(reach[:, a] - reach[:, b]).sum(axis=-1)
 
 
-# --- bodies
-
-
-def _corners_and_radius(shape: Box | Ball) -> tuple[Array, Array, float]:
-    """Return the corners of a box and 0, or twice the centre of a ball and its radius."""
-    if isinstance(shape, Ball):
-        return shape.centre, shape.centre, shape.radius
-    return shape.minimum, shape.maximum, 0.0
-
-
 @lru_cache(maxsize=64)
 def rows_of(of: tuple[str, ...], count: int, degree: int) -> np.ndarray:
     """Return the control points that rows of N steps constrain, -1 for missing rows, (J, N, 4)."""
@@ -522,24 +507,3 @@ def rows_of(of: tuple[str, ...], count: int, degree: int) -> np.ndarray:
         if part == ENDS:  # the start of the first step is given
             rows[0, :2] = degree, -1
     return at
-
-
-def _moving(problem: Problem, state: State) -> tuple[Body, ...]:
-    """Return each moving body twice: for the end of a step, and for its control points.
-
-    The end of a step alone is bounded more tightly than the hull of its control points.
-    """
-    traffic, found = traffic_of(problem, state), list[Body]()
-    if traffic is None:
-        return ()
-    for body, shifts, grown in zip(traffic.bodies, traffic.shifts, traffic.grown, strict=True):
-        found += [Body(body, of, shifts, grown) for of in (END, STEP)]
-    return tuple(found)
-
-
-def _patches(n: int, tilt: float) -> Array:
-    """Return triangles that cover all directions in space, and those of a tilt's cap."""
-    if n == 2:
-        return np.zeros((0, 3, 3))
-    capped = 0.0 < tilt <= STEEPEST_CAP
-    return np.concatenate([icosahedron(), *[cap(tilt)] * capped])
