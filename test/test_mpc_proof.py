@@ -306,7 +306,7 @@ def test_what_takes_more_work_than_its_length_may_is_refused():
 
 
 def test_a_problem_in_the_plane_may_state_the_same_cone_twice():
-    problem, cone = Problem(), Cone((0.0, 1.0), 0.3, 0.01, (5,))
+    problem, cone = Problem(), Cone([0.0, 1.0], 0.3, 0.01, [5])
     start, goals, still = State.at([0.0, 0.0], np.eye(2)), np.ones((5, 2)), np.zeros((5, 2))
     asked, verifier = (start, goals, one(still, np.zeros(5))), Verifier(problem)
     once, twice = (
@@ -342,7 +342,7 @@ def test_a_cone_bounds_the_headings_of_its_own_steps_alone():
     start, goals = State.at(np.zeros(2), np.eye(2), wanted=-np.eye(2)), np.zeros((2, 2))
     turned = np.array([[1.0, 0.0], [-1.0, 0.0]]) / 3.0  # ahead, and then back
     leaf = one(np.array([[0.5, 0.0], [0.0, 0.0]]), np.zeros(2))  # the best that ends ahead
-    cones = (Cone((1.0, 0.0), 0.3, 0.0, (k,)) for k in (1, 2))
+    cones = (Cone([1.0, 0.0], 0.3, 0.0, [k]) for k in (1, 2))
     limits = (NO_LIMITS._replace(cones=(each,)) for each in cones)
     first, last = (Verifier(problem).bound(start, goals, leaf, limits=each) for each in limits)
     assert first < trajectory_of(problem, start, goals, turned).objective < 2.7 < last < 3.0

@@ -29,7 +29,7 @@ EXTRAS = ('terminal', 'max_rate', 'max_acceleration', 'no_corner_cutting', 'disc
 BODIES = 'boxes {min, max} and balls {centre, radius}'
 T = TypeVar('T')
 Names = tuple[str, ...]
-WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
+WEIGHTS = tuple(vars(Weights()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Approach, Ball, Floor, Problem, State, Weights
-from orbimpc_ros.mpc.problem.case import Case, body_of
+from orbimpc_ros.mpc.problem.case import WEIGHTS, Case, body_of
 from orbimpc_ros.mpc.proof.stated import PARTS, UP, Body, Cone, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARRAYS,
@@ -39,7 +40,6 @@ FORMAT = 'orbimpc certificate 2'
 RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed the proved one
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
          'forward', 'terminal', 'max_rate')  # fmt: skip
-WEIGHTS = ('position', 'input', 'length', 'terminal', 'attitude')
 MAYBE = ('coasted', 'wanted')
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
 EACH, TERM, PLACE = 100, 12, 60  # [us] of work per number of a leaf, term of a Hessian, place
@@ -205,7 +205,7 @@ def refuted_by(document: Any, count: int) -> list[Posed]:
 def _catch(posed: Posed, k: int, radius: float, last: Any) -> Posed:
     """Return the problem of a catch at step k: the first k steps, with a cone at the last one."""
     limits = posed.limits
-    cones = [each._replace(steps=tuple(i for i in each.steps if i <= k)) for each in limits.cones]
+    cones = [each._replace(steps=[i for i in each.steps if i <= k]) for each in limits.cones]
     if last is not None:
         cones.append(_cone({**last, 'steps': [k]}, posed.problem.dimension, k))
     bodies = [
@@ -249,7 +249,7 @@ def refutation(sought: Case, trees: Sequence[ProofTree]) -> Document:
     if sought.radius:
         refuted['radius'] = sought.radius
         if problem.approach.exists:
-            refuted['cone'] = _plain_cone(Statement(problem).limits(state, goals).cones[-1])
+            refuted['cone'] = Statement(problem).limits(state, goals).cones[-1]._asdict()
             del refuted['cone']['steps']
         problem = replace(problem, approach=Approach())
     return {'format': FORMAT, **statement(problem, state, goals), 'refuted': refuted}
@@ -279,20 +279,14 @@ def statement(problem: Problem, state: State, goals: Array) -> Document:
 
 
 def _plain_limits(limits: Limits) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    if limits.cones:
-        found['cones'] = [_plain_cone(each) for each in limits.cones]
-    if limits.glide_slope:
-        found['glide_slope'] = {'angle': limits.glide_slope, 'eased': limits.eased.tolist()}
-    if limits.change < math.inf:
-        found['speeds'] = {'entry': limits.entry, 'change': limits.change}
-    if limits.bodies:
-        found['bodies'] = [_plain_body(each) for each in limits.bodies]
-    return found
-
-
-def _plain_cone(cone: Cone) -> dict[str, Any]:
-    return {**cone._asdict(), 'axis': list(cone.axis), 'steps': list(cone.steps)}
+    found = {
+        'cones': [each._asdict() for each in limits.cones],
+        'glide_slope': {'angle': limits.glide_slope, 'eased': limits.eased.tolist()},
+        'speeds': {'entry': limits.entry, 'change': limits.change},
+        'bodies': [_plain_body(each) for each in limits.bodies],
+    }
+    there = limits.cones, limits.glide_slope, limits.change < math.inf, limits.bodies
+    return dict(compress(found.items(), there))
 
 
 def _plain_body(body: Body) -> dict[str, Any]:
@@ -360,11 +354,11 @@ def _limits(stated: Any, n: int, count: int) -> Limits:
 
 def _cone(stated: Any, n: int, count: int) -> Cone:
     fields_of(stated, 'cone', Cone._fields)
-    axis = tuple(frozen(stated['axis'], (n,), 'cone.axis').tolist())
+    axis = frozen(stated['axis'], (n,), 'cone.axis').tolist()
     number(math.hypot(*axis), 'the size of cone.axis', 1e-6, 1e6)
     angle = number(stated['angle'], 'cone.angle', 0.0, math.pi / 2, above=True)
-    steps = (whole(k, 'cone.steps', 1, count) for k in _items(stated['steps'], 'cone.steps'))
-    return Cone(axis, angle, number(stated['least'], 'cone.least', 0.0, 1.0), tuple(steps))
+    steps = [whole(k, 'cone.steps', 1, count) for k in _items(stated['steps'], 'cone.steps')]
+    return Cone(axis, angle, number(stated['least'], 'cone.least', 0.0, 1.0), steps)
 
 
 def _body(stated: Any, n: int, count: int) -> Body:

@@ -45,7 +45,7 @@ ROUNDING = 1e-15  # added to a chord
 INWARD = 1.0 - 1e-12  # factor of a speed, for rounding
 UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
 END, ENDS, STEP = PARTS = 'end', 'ends', 'step'  # what is on one side of a body
-UP = 0.0, 0.0, 1.0
+UP = [0.0, 0.0, 1.0]
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
 NOTHING: Array = np.zeros(0)
 Rows = Any  # an array of numbers, of floats or of fractions
@@ -63,10 +63,10 @@ class Cone(NamedTuple):
         steps: k >= 1.
     """
 
-    axis: tuple[float, ...]
+    axis: list[float]
     angle: float
     least: float
-    steps: tuple[int, ...]
+    steps: list[int]
 
 
 class Body(NamedTuple):
@@ -316,14 +316,13 @@ class Statement:
         if problem.has_cones:
             outside = relief(problem, state, goals)
             if problem.tilt:
-                steps = tuple((1 + np.flatnonzero(outside.tilt == 0.0)).tolist())
-                cones.append(Cone((0.0, 0.0, 1.0), problem.tilt, 0.0, steps))
+                steps = (1 + np.flatnonzero(outside.tilt == 0.0)).tolist()
+                cones.append(Cone(UP, problem.tilt, 0.0, steps))
             if problem.glide_slope:
                 slope, eased = problem.glide_slope, outside.slope
         if problem.approach.exists:
             axis, wide = problem.approach.axis(state), problem.approach.cone + LEEWAY
-            last = problem.least_heading, (problem.horizon,)
-            cones.append(Cone(tuple(axis.tolist()), wide, *last))
+            cones.append(Cone(axis.tolist(), wide, problem.least_heading, [problem.horizon]))
         entry, change = 0.0, math.inf
         if problem.max_acceleration and problem.rotation_order == 1:
             entry, change = entry_speed(problem, state), problem.speed_change
@@ -401,9 +400,9 @@ class Statement:
         problem, cones = self.problem, [each for each in limits.cones if each.steps]
         if problem.dimension == 2 or problem.rotation_order == 2 or not problem.turns_are_angles:
             return cones
-        axis, turn = tuple(state.attitude[:, 0].tolist()), problem.widest_turn
+        axis, turn = state.attitude[:, 0].tolist(), problem.widest_turn
         steps = range(1, 1 + min(problem.horizon, math.ceil(math.pi / turn) - 1))
-        return cones + [Cone(axis, k * turn + WIDER, 0.0, (k,)) for k in steps]
+        return cones + [Cone(axis, k * turn + WIDER, 0.0, [k]) for k in steps]
 
     def _coned(self, cones: Sequence[Cone]) -> dict[str, Any]:
         """Return the cones of each step, and the last one in the plane, which a sector meets."""
