@@ -15,7 +15,7 @@ from orbimpc_ros.mpc.solve.solver import Solver
 EPS = 3e-4
 # Clarabel's warnings are about accuracies far beyond the tolerances here.
 pytestmark = pytest.mark.filterwarnings('ignore:Solution may be inaccurate')
-BOX = Box(np.array([1.2, -0.6]), np.array([2.13, 0.5]))
+BOX, DISC = Box(np.array([1.2, -0.6]), np.array([2.13, 0.5])), Ball([9.0, 9.0], 1.0)
 BRANCHES = {
     'floor': {'floor': floor('polygon')},
     'hexagon': {'floor': floor('polygon', 0.8, 6)},
@@ -146,6 +146,12 @@ def test_nothing_binds_at_rest_on_the_goal(off):
     told = explained(problem, start, targets, Solver(problem).solve(start, targets))
     assert told.binding == ()
     assert told.unexplained < 1e-3
+
+
+def test_a_box_is_named_by_its_place_among_all_obstacles():
+    problem, targets = Problem(horizon=4, obstacles=(DISC, BOX)), np.tile([3.0, 0.3], (4, 1))
+    told = explained(problem, at(1.0), targets, Solver(problem).solve(at(1.0), targets))
+    assert [each.name for each in told.binding] == ['hull', 'obstacle 1']
 
 
 def test_a_plan_that_could_be_better_is_not_explained():

@@ -28,7 +28,7 @@ from orbimpc_ros.mpc.geometry.rotations import coordinates, lmi, lmi_parts
 from orbimpc_ros.mpc.model.dynamics import KINK, length_weights, on_axes
 from orbimpc_ros.mpc.model.dynamics import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
-from orbimpc_ros.mpc.problem import Problem, State
+from orbimpc_ros.mpc.problem import Box, Problem, State
 from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.regions import Regions
@@ -145,7 +145,7 @@ def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
 def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
     """Yield the planes between vehicle and bodies, at the control points that touch them."""
     traffic, nothing = traffic_of(problem, state), ACTIVE * problem.maps.unit
-    names = [f'obstacle {i}' for i in range(len(problem.boxes))]
+    names = [f'obstacle {i}' for i, b in enumerate(problem.obstacles) if isinstance(b, Box)]
     names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
     headings, regions = plan.rotations[1:, :, 0], Regions(problem)
     regions.bind(Request(state, goals))
