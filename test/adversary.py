@@ -111,12 +111,11 @@ def flight(rng: Rng) -> Flight | None:
     if _sometimes(rng, 0.2):  # too slow to have a direction within an approach cone
         rotations[-1] = _dyadic(10.0 ** rng.uniform(-3, -2) * rotations[-1])
     plain = Problem(**given)
+    at_origin = level or _sometimes(rng, 0.5)
     state: dict[str, Any] = {
         'rotation': rotations[0],
         'attitude': nearest(rotations[0]),
-        'position': np.zeros(n)
-        if level or _sometimes(rng, 0.5)
-        else _dyadic(rng.normal(size=n), 2.0**-8),
+        'position': _dyadic(np.zeros(n) if at_origin else rng.normal(size=n), 2.0**-8),
         'disturbance': _dyadic(rng.normal(size=n), 2.0**-8) * _sometimes(rng, 0.3 - 0.3 * level),
         'wanted': problems.rotation(rng, n),
     }
@@ -153,11 +152,11 @@ def flight(rng: Rng) -> Flight | None:
         problem = Problem(**given)
         plan = flown(problem)
         case = Case(problem, State.at(**state), goals)
-        if violations(*case.known, plan) or not _strictly(margins(*case.known, plan)):
-            return None
+        kept = margins(*case.known, plan)
+        strictly = all(kept[name] >= 1e-13 * (name != 'glide_slope') for name in kept)
+        return None if violations(*case.known, plan) or not strictly else Flight(case, plan, radius)
     except OrbimpcError:
         return None
-    return Flight(case, plan, radius)
 
 
 def flights(seed: int, count: int) -> Iterator[tuple[Flight, Rng]]:
@@ -180,10 +179,6 @@ def plans(seed: int, count: int) -> Iterator[Flight]:
             yield drawn
 
 
-def _strictly(kept: dict[str, float]) -> bool:
-    return all(each >= (0.0 if name == 'glide_slope' else 1e-13) for name, each in kept.items())
-
-
 def _rotations(rng: Rng, n: int, horizon: int, level: bool) -> np.ndarray:
     """Return R_0..R_N with small to large turns, at speeds from nearly zero to nearly full."""
     turn = 10.0 ** rng.uniform(-2, 0.5)
@@ -194,9 +189,8 @@ def _rotations(rng: Rng, n: int, horizon: int, level: bool) -> np.ndarray:
         if k:
             about_z = rng.uniform(-turn, turn) * np.eye(3)[2] if level else None
             q = q @ (problems.rotation(rng, n, turn) if about_z is None else exp(about_z))
-        slow = float(
-            rng.choice([rng.uniform(), 10.0 ** rng.uniform(-3, 0), 1.0, 0.0][: 3 + (k == 0)])
-        )
+        sizes = [rng.uniform(), 10.0 ** rng.uniform(-3, 0), 1.0, 0.0]
+        slow = float(rng.choice(sizes[: 3 + (k == 0)]))
         rest = rng.uniform() if n == 3 and _sometimes(rng, 0.3) else 1.0
         scale = slow * np.array([1.0, *[rest] * (n - 1)])
         made[k] = _dyadic((1.0 - HAIR) * q * scale)
@@ -225,19 +219,16 @@ def _limits(rng: Rng, problem: Problem, headings: np.ndarray, ahead: np.ndarray)
     if _sometimes(rng, 0.4):
         shape = str(rng.choice(['circle', 'polygon']))
         faces = int(rng.choice([6, 12, 20])) if n == 3 else int(rng.integers(3, 9))
-        beyond = (
-            (headings[1:] @ normals(n, faces).T).max(axis=1) if shape == 'polygon' else speeds[1:]
-        )
+        along = (headings[1:] @ normals(n, faces).T).max(axis=1)
+        beyond = along if shape == 'polygon' else speeds[1:]
         found['floor'] = Floor(shape, faces, float(max(1e-9, beyond.min()) / (1.0 + _loose(rng))))
     if _sometimes(rng, 0.4):
         if 'floor' in found:
             units = headings / np.maximum(speeds, 1e-12)[:, None]
             units[0] = ahead
             before, after = units[:-1], units[1:]
-            turn = 2.0 * np.arctan2(
-                *(np.linalg.norm(each, axis=1) for each in (after - before, after + before))
-            )
-            turn = turn.max()
+            sides = (np.linalg.norm(each, axis=1) for each in (after - before, after + before))
+            turn = 2.0 * np.arctan2(*sides).max()
         else:
             moved = np.linalg.norm(np.diff(headings, axis=0), axis=1).max()
             turn = 2.0 * math.asin(min(1.0, 0.5 * moved))
@@ -322,12 +313,11 @@ class Part:
         problem = posed.problem
         self.stated = Statement(problem, Fraction).of(*posed[1:4])
         self.n, self.count = problem.dimension, problem.horizon
-        self.choices = (2 + len(posed.limits.bodies)) * self.count
-        self.region = region_of(DEEP, self.choices, self.n, object)
+        choices = (2 + len(posed.limits.bodies)) * self.count
+        self.region = region_of(DEEP, choices, self.n, object)
         self.work = work_of(problem, self.stated.width, object)
         self.depth, self.cuts = 0, list[tuple[list[int], float, int]]()
-        known = self.region.part[0], self.region.span[0]
-        begun = begin(self.stated, np.zeros(0), *known)
+        begun = begin(self.stated, np.zeros(0), self.region.part[0], self.region.span[0])
         assert begun == HELD, 'a flight is left out from the beginning'
 
     def cut(self, kind: int, choice: int, parts: int, at: float, i: int) -> None:
@@ -339,8 +329,7 @@ class Part:
         if self.depth + 1 == DEEP:
             return
         node = [kind, choice, 0, parts, -1]
-        known = self.stated, np.array(node), Fraction(at), i
-        made = part_of(*known, self.depth + 1, self.region)
+        made = part_of(self.stated, np.array(node), Fraction(at), i, self.depth + 1, self.region)
         if made == WRONG:
             return
         assert made == HELD, 'the part that a flight is in is left out'
@@ -505,8 +494,8 @@ class Part:
     def bound(self, leaf: ProofTree, empty: bool) -> tuple[float, bool]:
         """Return the bound that a leaf proves on the part, and True if it is sound."""
         node = np.array([trees.EMPTY if empty else trees.LEAF, 0, 0, 0, 0])
-        known = self.stated, self.region, self.depth, tree_in_fractions(leaf), node, self.work
-        value, sound = leaf_bound(*known)
+        tree = tree_in_fractions(leaf)
+        value, sound = leaf_bound(self.stated, self.region, self.depth, tree, node, self.work)
         return float(value), sound
 
     def tree(self, leaf: ProofTree, empty: bool) -> ProofTree:

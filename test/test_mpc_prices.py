@@ -76,17 +76,15 @@ def test_prices_of_hull_and_arrival_are_what_easing_them_gains(orders, terminal)
 
 def eased(problem, start, name, by):
     """Return a problem and a state with one limit relaxed ``by`` at all steps."""
-    signs = {'floor': -1.0, 'glide_slope': -1.0}
-    by = signs.get(name, 1.0) * by
+    by = -by if name in ('floor', 'glide_slope') else by
     if name == 'hazard 0':
         (hazard,) = start.hazards
         smaller = replace(hazard.body, radius=hazard.body.radius - by)
         return problem, replace(start, hazards=(replace(hazard, body=smaller),))
     if name in ('floor', 'approach'):
         part, field = getattr(problem, name), {'floor': 'fraction', 'approach': 'cone'}[name]
-        return replace(
-            problem, **{name: replace(part, **{field: getattr(part, field) + by})}
-        ), start
+        part = replace(part, **{field: getattr(part, field) + by})
+        return replace(problem, **{name: part}), start
     return replace(problem, **{name: getattr(problem, name) + by}), start
 
 
