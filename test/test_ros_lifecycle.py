@@ -130,7 +130,7 @@ def test_cleaned_up_it_has_no_topics_and_takes_on_what_has_changed(active):
     assert active.change(ACTIVATE)
     active.move()
     assert 0.0 < active.commands[-1].twist.linear.x <= 0.25 + 1e-9
-    assert 'from now on step 0.1, forward 0.25' in active.planner.output
+    assert 'from now on 0.25 m/s' in active.planner.output
 
 
 @pytest.mark.parametrize(

@@ -150,25 +150,48 @@ def test_a_shrinking_horizon_is_priced_as_what_is_left_of_it():
 # --- the start-up line on the vehicle, and warnings on doubtful settings
 
 
+WING = {
+    'forward': 15.0, 'floor.shape': 'circle', 'floor.fraction': 10.0 / 15.0, 'step': 0.1,
+    'horizon': 10, 'max_rate': 0.4363323, 'trigger': 'odom',
+}  # fmt: skip
+
+
 HOVERING = {'dimension': 3, 'translation_order': 2, 'forward': 20.0, 'gravity': 9.81}
 LANDER = {**HOVERING, 'forward': 3.6, 'gravity': 1.62, 'tilt': 0.2618, 'glide_slope': 0.8727}
-WINDY = {**LANDER, 'wind': (0.6, 0.0, 0.0)}
 ROUND_FLOOR = {**HOVERING, 'floor.shape': 'circle', 'floor.fraction': 0.6}
+AIR = {'velocity_source': 'air'}
 
 
 @pytest.mark.parametrize(
-    ('changes', 'line'),
+    ('changes', 'words', 'others'),
     [
-        ({}, 'system time, safe command stop'),
-        ({'wind': (0.3, -0.2)}, 'wind [0.3, -0.2], system time, safe command stop'),
-        (HOVERING, 'dimension 3, translation_order 2, forward 20.0, gravity 9.81, '
-         'system time, hovers at 0.491 of its thrust, safe command hover'),
-        ({'floor.shape': 'circle', 'floor.fraction': Floor().fraction, 'dry_run': True},
-         'floor.shape "circle", dry_run true, system time, safe command loiter'),
+        ({}, '', 'wind'),
+        ({}, '', 'integrated exactly'),
+        ({'wind': (0.3, -0.2)}, 'wind (0.3, -0.2) m/s,', ''),
+        ({'wind': (3.0, 4.0)}, 'wind (3, 4) m/s, 5 m/s in all: too much to stay at a goal', ''),
+        ({'discretisation': 'exact'}, 'integrated exactly', ''),
+        (AIR, 'odometry through the air,', ''),
+        ({**AIR, 'sideslip': True}, 'through the air, with sideslip,', ''),
+        (HOVERING, 'gravity 9.81 m/s^2: hovers at 0.491 of its thrust', ''),
+        (HOVERING, 'safe command hover', ''),
+        (ROUND_FLOOR, 'cannot hover: its least thrust is 12', ''),
+        ({**HOVERING, 'safe_command': 'stop'}, 'stop although the vehicle then falls', ''),
+        ({**WING, 'safe_command': 'stop'}, 'stop although that is below the floor', ''),
+        ({**HOVERING, 'thrust_axis': 'z', 'hover_thrust': 0.4}, 'sent as 0.4 on thrust', ''),
+        (LANDER, 'tilted by at most 15 deg', 'staying at a goal takes'),
+        (LANDER, 'above a glide slope of 50 deg', ''),
+        (
+            {**LANDER, 'wind': (0.6, 0.0, 0.0)},
+            'takes a tilt of 20.32 deg: more than allowed',
+            '',
+        ),
+        ({**LANDER, 'tilt': 0.0}, '', 'tilted'),
     ],
-)  # fmt: skip
-def test_the_start_up_line_says_what_was_given_and_what_follows(changes, line):
-    assert summary(settings(**changes), simulated=False) == line
+)
+def test_the_start_up_line_says_what_moves_the_vehicle(changes, words, others):
+    line = summary(settings(**changes), simulated=False)
+    assert words in line
+    assert not others or others not in line
 
 
 THRUST = {'translation_order': 2, 'dimension': 3, 'thrust_axis': 'z'}
@@ -196,17 +219,6 @@ DOUBTS = [
     (CIRCLING | {'horizon': 15}, ''),
     (CIRCLING | {'horizon': 10, 'floor.shape': 'none'}, ''),
     (CIRCLING | {'horizon': 10, 'objective': 'intercept'}, ''),
-    # What it cannot do.
-    ({'wind': (0.6, 0.7)}, ''),
-    ({'wind': (3.0, 4.0)}, 'wind of 5 m/s is too much to stay at a goal'),
-    (ROUND_FLOOR, 'it cannot hover: its least thrust is 12 m/s^2'),
-    ({**HOVERING, 'safe_command': 'stop'}, 'safe command stop, although the vehicle then falls'),
-    ({**HOVERING, 'safe_command': 'hover'}, ''),
-    ({'floor.shape': 'circle', 'safe_command': 'stop'},
-     'safe command stop, although that is below the floor'),
-    (LANDER, ''),
-    (WINDY, 'to stay at a goal takes a tilt of 20.32 deg, more than allowed'),
-    ({**WINDY, 'tilt': 0.0}, ''),
 ]  # fmt: skip
 
 

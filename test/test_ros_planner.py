@@ -206,7 +206,7 @@ def level(bench, words):
 def test_what_is_believed_in_is_said_and_who_else_comes_and_goes(launch, observer):
     given = QUICK | {'forward': 15.0, 'max_rate': 25.0, 'floor.faces': 8}
     bench, node = Bench(launch, observer, given), observer.node
-    assert said(bench, 'step 0.1, forward 15.0, max_rate 25.0, ') == 1
+    assert said(bench, '15 m/s, at most 1432 deg/s, 0.1 s x 5') == 1
     for doubt in ('max_rate is 25 rad/s, 1432 deg/s: 0.4363', 'floor.faces 8 has no effect with'):
         assert said(bench, doubt) == 1
     rival = node.create_publisher(TwistStamped, 'cmd_vel', qos())

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -201,18 +199,27 @@ DEFAULTS = {spec.name: spec.default for spec in PLANNER}
 
 
 def summary(settings: PlannerSettings, simulated: bool) -> str:
-    """Return in one line the parameters that differ from their defaults, and what follows.
-
-    ``simulated`` time comes from /clock.
-    """
-    values = (
-        (each.metadata['parameter'], getattr(settings, each.name)) for each in fields(settings)
-    )
-    parts = [f'{spec.name} {json.dumps(value)}' for spec, value in values if value != spec.default]
-    parts.append('time of /clock' if simulated else 'system time')
-    if settings.gravity:
-        parts.append(f'hovers at {settings.gravity / settings.forward:.3g} of its thrust')
-    return ', '.join([*parts, f'safe command {settings.safe_command}'])
+    """Return a one-line summary of vehicle and task; ``simulated`` time comes from /clock."""
+    problem, response = settings.problem, settings.response
+    every = 'step' if settings.period == problem.step else f'{settings.period:g} s'
+    at_odometry = settings.trigger == 'odom'
+    parts = [
+        *_vehicle(settings),
+        f'{problem.step:g} s x {problem.horizon}',
+        problem.discretisation == 'exact' and 'integrated exactly',
+        f'{problem.dimension}D',
+        f'rotation order {problem.rotation_order}',
+        f'translation order {problem.translation_order}',
+        'planned at each odometry' if at_odometry else f'planned every {every}',
+        response.lags and f'lags {response.speed:g} s (speed), {response.rate:g} s (rate)',
+        settings.estimated and 'disturbance estimated',
+        'time of /clock' if simulated else 'system time',
+        f'goals {_ageing(settings)}',
+        f'safe command {_safe_command(settings)}',
+        settings.dry_run and 'dry run: sends no commands',
+        settings.gated and 'sends no commands until engaged',
+    ]
+    return ', '.join(part for part in parts if isinstance(part, str) and part)
 
 
 def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
@@ -220,15 +227,10 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
 
     ``given`` are the values given at the start, by parameter.
     """
-    problem, gravity, kind = settings.problem, settings.gravity, settings.safe_command
-    rate, floor, known = problem.max_rate, problem.floor, settings.disturbance
-    ahead, least = problem.horizon * problem.step, problem.least_speed * problem.forward
+    problem, floor = settings.problem, settings.problem.floor
+    rate, ahead = problem.max_rate, problem.horizon * problem.step
     turned = math.degrees(ahead * rate)
     needed = math.ceil(math.pi / (problem.step * rate or math.inf))
-    wind = known.copy()
-    wind[-1] += gravity
-    speed, tilt = float(np.linalg.norm(wind)), math.atan2(math.hypot(*known[:2]), -known[-1])
-    unit = 'm/s' if problem.translation_order == 1 else 'm/s^2'
     found = {
         f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: '
         f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant': rate > BRISK,
@@ -243,14 +245,6 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         f'within {ahead:.4g} s of horizon the vehicle turns by at most {turned:.4g} deg: it may '
         f'never turn round to a goal behind it; half a turn takes a horizon of {needed}':
             not settings.catch_radius and problem.turns_are_angles and turned < 180.0,
-        f'it cannot hover: its least thrust is {least:.4g} m/s^2': least > gravity > 0.0,
-        f'wind of {speed:.4g} {unit} is too much to stay at a goal': speed >= problem.forward,
-        f'to stay at a goal takes a tilt of {math.degrees(tilt):.4g} deg, more than allowed':
-            speed and tilt > problem.tilt > 0.0,
-        f'safe command {kind}, although the vehicle then falls':
-            gravity and kind in ('stop', 'hold_rate_zero'),
-        f'safe command {kind}, although that is below the floor':
-            floor.exists and kind == 'stop' and problem.translation_order == 1,
     }  # fmt: skip
     for name, used, beside in (
         ('approach.cone', settings.approach.exists, f'objective {settings.objective}'),
@@ -258,7 +252,61 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         ('floor.faces', 'faces' in floor.parameters, f'floor.shape {floor.shape}'),
     ):
         value = given.get(name, DEFAULTS[name])
-        found[f'{name} {value:g} has no effect with {beside}'] = (
-            not used and value != DEFAULTS[name]
-        )
+        odd = not used and value != DEFAULTS[name]
+        found[f'{name} {value:g} has no effect with {beside}'] = odd
     return [words for words, holds in found.items() if holds]
+
+
+def _vehicle(settings: PlannerSettings) -> list[object]:
+    """Describe full speed or thrust, limits, and influences that the vehicle cannot counteract."""
+    problem, gravity = settings.problem, settings.gravity
+    unit = 'm/s' if problem.translation_order == 1 else 'm/s^2'
+    least = problem.least_speed * problem.forward
+    degrees, slope = math.degrees(problem.max_rate), math.degrees(problem.glide_slope)
+    hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
+    if least > gravity:
+        hover = f'cannot hover: its least thrust is {least:.4g}'
+    wind = settings.disturbance.copy()
+    wind[-1] += gravity
+    speed, blown = float(np.linalg.norm(wind)), ''
+    if speed:
+        blown = f'wind ({", ".join(f"{each:.4g}" for each in wind)}) {unit}'
+    if speed >= problem.forward:
+        blown += f', {speed:.4g} {unit} in all: too much to stay at a goal'
+    if speed and problem.tilt:
+        known = settings.disturbance
+        needed = math.atan2(math.hypot(*known[:2]), -known[2])
+        if needed > problem.tilt:
+            tilt = f'{math.degrees(needed):.4g} deg'
+            blown += f', staying at a goal takes a tilt of {tilt}: more than allowed'
+    slip = ', with sideslip' if settings.sideslip else ''
+    return [
+        f'{problem.forward:g} {unit}',
+        problem.translation_order == 2 and f'{settings.mass:g} kg',
+        problem.floor.exists and f'at least {least:.4g} {unit} ({problem.floor})',
+        problem.max_rate and f'at most {degrees:.4g} deg/s',
+        problem.max_acceleration and f'at most {problem.max_acceleration:.4g} m/s^2',
+        problem.tilt and f'tilted by at most {math.degrees(problem.tilt):.4g} deg',
+        problem.glide_slope and f'above a glide slope of {slope:.4g} deg',
+        gravity and f'gravity {gravity:g} {unit}: {hover}',
+        settings.hover_thrust and f'sent as {settings.hover_thrust:g} on thrust',
+        blown,
+        settings.frames.velocity == 'world' and 'velocities in the world frame',
+        settings.velocity_source == 'air' and f'odometry through the air{slip}',
+    ]
+
+
+def _ageing(settings: PlannerSettings) -> str:
+    if settings.given_goal_timeout < 0.0:
+        return 'never stale'
+    streamed = '' if settings.hand_sent_expire else ' once they stream'
+    return f'stale after {settings.goal_timeout:g} s{streamed}'
+
+
+def _safe_command(settings: PlannerSettings) -> str:
+    kind, problem = settings.safe_command, settings.problem
+    if settings.gravity and kind in ('stop', 'hold_rate_zero'):
+        return f'{kind} although the vehicle then falls'
+    if problem.floor.exists and kind == 'stop' and problem.translation_order == 1:
+        return f'{kind} although that is below the floor'
+    return kind
