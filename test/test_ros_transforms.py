@@ -77,7 +77,7 @@ def test_frames_are_joined_through_what_they_have_in_common():
     known.hear(TF_STATIC, tf(0.0, 'earth', 'map', (100.0, 0.0, 0.0)))
     known.hear(TF, tf(1.0, 'earth', 'odom', (100.0, 5.0, 0.0), QUARTER))
     known.hear(TF_STATIC, tf(0.0, 'map', 'rope', (0.0, 7.0, 0.0)))
-    found = known.between('odom', 'rope', SECOND)
+    found = known.move(messages.header(SECOND, 'rope'))
     np.testing.assert_allclose(found[:3, 3], [2.0, 0.0, 0.0], atol=1e-12)
 
 

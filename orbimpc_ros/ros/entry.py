@@ -8,12 +8,12 @@ requires ROS, which may be missing.
 from __future__ import annotations
 
 import gc
-import math
+import itertools
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module
 
@@ -73,18 +73,16 @@ def report_compilation(report: Callable[[str], None]) -> None:
     """Report progress, by a line every few seconds, whenever machine code has to be compiled."""
     from orbimpc_ros.mpc.kernels import LISTENERS  # readers of COMPILING alone need no compiler
 
-    begun = reported = -math.inf
-    count = 0
+    def told() -> Iterator[None]:
+        begun, due = time.monotonic(), 0.0
+        for count in itertools.count(1):
+            taken = time.monotonic() - begun
+            if taken >= due:
+                due = taken + PAUSE
+                report(f'{COMPILING}: function {count}, {taken:.0f} s')
+            yield
 
-    def on_function() -> None:
-        nonlocal begun, reported, count
-        now, count = time.monotonic(), count + 1
-        begun = now if count == 1 else begun
-        if now - reported >= PAUSE:
-            reported = now
-            report(f'{COMPILING}: function {count}, {now - begun:.0f} s')
-
-    LISTENERS[:] = [on_function]
+    LISTENERS[:] = [told().__next__]
 
 
 def without_compiler() -> str:

@@ -153,27 +153,19 @@ class Transforms:
         ``at`` is the time of the transform [ns], by default the stamp of the header.
 
         Raises:
-            BadInput: there is no transform, or none at that time, or the stamp is not valid.
+            BadInput: no transform leads there, or none at that time, or the stamp is not valid.
         """
         world, found = self.settings.frames.world, header.frame_id
         if not world or found in ('', world):
             return None
         if not (self.settings.tf or self.settings.stated_transforms):
             raise BadInput('header.frame_id', repr(found), f'{world!r}; for others, {ON}')
-        stamp = messages.nanoseconds(header.stamp, 'header.stamp')
-        return self.between(world, found, stamp if at is None else at)
-
-    def between(self, target: str, source: str, stamp: int) -> Array:
-        """Return the matrix from one frame to another at a stamp [ns], shape (4, 4).
-
-        Raises:
-            BadInput: no transform leads from one to the other, or none at that time.
-        """
-        up, down = self._ancestry(source), self._ancestry(target)
-        ends = (line[-1].parent if line else at for line, at in ((up, source), (down, target)))
+        stamp = messages.nanoseconds(header.stamp, 'header.stamp') if at is None else at
+        up, down = self._ancestry(found), self._ancestry(world)
+        ends = (line[-1].parent if line else end for line, end in ((up, found), (down, world)))
         if len(set(ends)) > 1:
             hint = 'publish it on /tf, or give it in transforms' if self.settings.tf else ON
-            raise BadInput.stating('missing transform', f'none from {source} to {target}', hint)
+            raise BadInput.stating('missing transform', f'none from {found} to {world}', hint)
         while up and down and up[-1] is down[-1]:  # above what they have in common
             del up[-1], down[-1]
         moves = [np.eye(4), np.eye(4)]

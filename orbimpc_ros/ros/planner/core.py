@@ -594,13 +594,13 @@ class Core:
         if before is not None and known is not None and known.time < before.time:
             self.planner.start_afresh()  # the clock of odometry was set back
         heard, self.seen = self.inputs.heard, snapshot
-        given = math.inf if self._unlimited else self.settings.deadline
-        self._deadline = Deadline(self._clock, begun + given)
+        clock, end = self._clock, math.inf if self._unlimited else begun + self.settings.deadline
         if self._counted and self.inputs.in_step:
             # This clock advances with each reading, of which a search takes one after each part:
             # its limit is the same on every machine, however busy.
-            looked = (LOOK * looks for looks in itertools.count(1)).__next__
-            self._deadline = Deadline(looked, min(given, LONGEST))
+            clock = (LOOK * looks for looks in itertools.count(1)).__next__
+            end = min(self.settings.deadline, LONGEST)
+        self._deadline = Deadline(clock, end)
         at = None if ros is None else (ros + round(taking * SECOND)) / SECOND
         decision = self.planner.step(snapshot, at, self._deadline)
         took = self._clock() - begun

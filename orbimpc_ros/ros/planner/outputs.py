@@ -199,27 +199,62 @@ DEFAULTS = {spec.name: spec.default for spec in PLANNER}
 
 
 def summary(settings: PlannerSettings, simulated: bool) -> str:
-    """Return a one-line summary of vehicle and task; ``simulated`` time comes from /clock."""
-    problem, response = settings.problem, settings.response
+    """Return a one-line summary of vehicle and task; ``simulated`` time comes from /clock.
+
+    It has limits, and influences that the vehicle cannot counteract, in units that people use.
+    """
+    problem, response, gravity = settings.problem, settings.response, settings.gravity
+    thrust, kind = problem.translation_order == 2, settings.safe_command
+    unit, least = 'm/s^2' if thrust else 'm/s', problem.least_speed * problem.forward
+    rate, tilt, slope = np.degrees([problem.max_rate, problem.tilt, problem.glide_slope])
+    hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
+    if least > gravity:
+        hover = f'cannot hover: its least thrust is {least:.4g}'
+    known, wind = settings.disturbance, settings.disturbance.copy()
+    wind[-1] += gravity
+    speed = float(np.linalg.norm(wind))
+    needed = math.degrees(math.atan2(math.hypot(*known[:2]), -known[-1]))
     every = 'step' if settings.period == problem.step else f'{settings.period:g} s'
-    at_odometry = settings.trigger == 'odom'
-    parts = [
-        *_vehicle(settings),
-        f'{problem.step:g} s x {problem.horizon}',
-        problem.discretisation == 'exact' and 'integrated exactly',
-        f'{problem.dimension}D',
-        f'rotation order {problem.rotation_order}',
-        f'translation order {problem.translation_order}',
-        'planned at each odometry' if at_odometry else f'planned every {every}',
-        response.lags and f'lags {response.speed:g} s (speed), {response.rate:g} s (rate)',
-        settings.estimated and 'disturbance estimated',
-        'time of /clock' if simulated else 'system time',
-        f'goals {_ageing(settings)}',
-        f'safe command {_safe_command(settings)}',
-        settings.dry_run and 'dry run: sends no commands',
-        settings.gated and 'sends no commands until engaged',
-    ]
-    return ', '.join(part for part in parts if isinstance(part, str) and part)
+    planned = 'at each odometry' if settings.trigger == 'odom' else f'every {every}'
+    ageing = f'goals stale after {settings.goal_timeout:g} s'
+    if not settings.hand_sent_expire:
+        ageing += ' once they stream'
+    if gravity and kind in ('stop', 'hold_rate_zero'):
+        kind += ' although the vehicle then falls'
+    elif problem.floor.exists and kind == 'stop' and not thrust:
+        kind += ' although that is below the floor'
+    parts = {
+        f'{problem.forward:g} {unit}': True,
+        f'{settings.mass:g} kg': thrust,
+        f'at least {least:.4g} {unit} ({problem.floor})': problem.floor.exists,
+        f'at most {rate:.4g} deg/s': rate,
+        f'at most {problem.max_acceleration:.4g} m/s^2': problem.max_acceleration,
+        f'tilted by at most {tilt:.4g} deg': tilt,
+        f'above a glide slope of {slope:.4g} deg': slope,
+        f'gravity {gravity:g} {unit}: {hover}': gravity,
+        f'sent as {settings.hover_thrust:g} on thrust': settings.hover_thrust,
+        f'wind ({", ".join(f"{each:.4g}" for each in wind)}) {unit}': speed,
+        f'{speed:.4g} {unit} in all: too much to stay at a goal': speed >= problem.forward,
+        f'staying at a goal takes a tilt of {needed:.4g} deg: more than allowed':
+            speed and needed > tilt > 0.0,
+        'velocities in the world frame': settings.frames.velocity == 'world',
+        'odometry through the air': settings.velocity_source == 'air',
+        'with sideslip': settings.sideslip,
+        f'{problem.step:g} s x {problem.horizon}': True,
+        'integrated exactly': problem.discretisation == 'exact',
+        f'{problem.dimension}D': True,
+        f'rotation order {problem.rotation_order}': True,
+        f'translation order {problem.translation_order}': True,
+        f'planned {planned}': True,
+        f'lags {response.speed:g} s (speed), {response.rate:g} s (rate)': response.lags,
+        'disturbance estimated': settings.estimated,
+        'time of /clock' if simulated else 'system time': True,
+        'goals never stale' if settings.given_goal_timeout < 0.0 else ageing: True,
+        f'safe command {kind}': True,
+        'dry run: sends no commands': settings.dry_run,
+        'sends no commands until engaged': settings.gated,
+    }  # fmt: skip
+    return ', '.join(words for words, holds in parts.items() if holds)
 
 
 def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
@@ -255,58 +290,3 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         odd = not used and value != DEFAULTS[name]
         found[f'{name} {value:g} has no effect with {beside}'] = odd
     return [words for words, holds in found.items() if holds]
-
-
-def _vehicle(settings: PlannerSettings) -> list[object]:
-    """Describe full speed or thrust, limits, and influences that the vehicle cannot counteract."""
-    problem, gravity = settings.problem, settings.gravity
-    unit = 'm/s' if problem.translation_order == 1 else 'm/s^2'
-    least = problem.least_speed * problem.forward
-    degrees, slope = math.degrees(problem.max_rate), math.degrees(problem.glide_slope)
-    hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
-    if least > gravity:
-        hover = f'cannot hover: its least thrust is {least:.4g}'
-    wind = settings.disturbance.copy()
-    wind[-1] += gravity
-    speed, blown = float(np.linalg.norm(wind)), ''
-    if speed:
-        blown = f'wind ({", ".join(f"{each:.4g}" for each in wind)}) {unit}'
-    if speed >= problem.forward:
-        blown += f', {speed:.4g} {unit} in all: too much to stay at a goal'
-    if speed and problem.tilt:
-        known = settings.disturbance
-        needed = math.atan2(math.hypot(*known[:2]), -known[2])
-        if needed > problem.tilt:
-            tilt = f'{math.degrees(needed):.4g} deg'
-            blown += f', staying at a goal takes a tilt of {tilt}: more than allowed'
-    slip = ', with sideslip' if settings.sideslip else ''
-    return [
-        f'{problem.forward:g} {unit}',
-        problem.translation_order == 2 and f'{settings.mass:g} kg',
-        problem.floor.exists and f'at least {least:.4g} {unit} ({problem.floor})',
-        problem.max_rate and f'at most {degrees:.4g} deg/s',
-        problem.max_acceleration and f'at most {problem.max_acceleration:.4g} m/s^2',
-        problem.tilt and f'tilted by at most {math.degrees(problem.tilt):.4g} deg',
-        problem.glide_slope and f'above a glide slope of {slope:.4g} deg',
-        gravity and f'gravity {gravity:g} {unit}: {hover}',
-        settings.hover_thrust and f'sent as {settings.hover_thrust:g} on thrust',
-        blown,
-        settings.frames.velocity == 'world' and 'velocities in the world frame',
-        settings.velocity_source == 'air' and f'odometry through the air{slip}',
-    ]
-
-
-def _ageing(settings: PlannerSettings) -> str:
-    if settings.given_goal_timeout < 0.0:
-        return 'never stale'
-    streamed = '' if settings.hand_sent_expire else ' once they stream'
-    return f'stale after {settings.goal_timeout:g} s{streamed}'
-
-
-def _safe_command(settings: PlannerSettings) -> str:
-    kind, problem = settings.safe_command, settings.problem
-    if settings.gravity and kind in ('stop', 'hold_rate_zero'):
-        return f'{kind} although the vehicle then falls'
-    if problem.floor.exists and kind == 'stop' and problem.translation_order == 1:
-        return f'{kind} although that is below the floor'
-    return kind

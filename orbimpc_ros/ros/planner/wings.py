@@ -126,11 +126,6 @@ class Wing(ABC):
         self._wind_out = node.create_publisher(TwistWithCovarianceStamped, 'wind', qos())
         self._latest: dict[str, tuple[float, Any]] = {}  # time [s] and value, by event
         node.create_timer(ALIVE, node.guard(self.look), clock=node.steady)
-        self._connect()
-
-    @abstractmethod
-    def _connect(self) -> None:
-        """Subscribe to the autopilot's measurements, and create the means to send setpoints."""
 
     @abstractmethod
     def _publish(self, airspeed: float, heading: float, turn: float, altitude: float) -> None:
@@ -234,7 +229,8 @@ class Px4(Wing):
 
     name, package, mode = 'px4', 'px4_msgs', 'offboard'
 
-    def _connect(self) -> None:
+    def __init__(self, *known: Any) -> None:
+        super().__init__(*known)
         types = self._types
         self._share, self._origin = 1.0, math.nan
         for kind, *callback in (
@@ -321,7 +317,8 @@ class ArduPlane(Wing):
 
     name, package, mode = 'arduplane', 'mavros_msgs', 'GUIDED'
 
-    def _connect(self) -> None:
+    def __init__(self, *known: Any) -> None:
+        super().__init__(*known)
         self._command = import_module(f'{self.package}.srv').CommandInt
         self._client = self._node.create_client(self._command, 'mavros/cmd/command_int')
         self._share, self._asked = 1.0, -math.inf
