@@ -97,7 +97,15 @@ class Managed(LifecycleNodeMixin, Node):
         LifecycleNodeMixin.__init__(self)
         self._change: Callable[[Any, Any], Any] = self._service_change_state.callback
         self._service_change_state.callback = self.guard(self._on_change_state)
-        self._take_parameters()
+        self.given = {name: each.value for name, each in self._parameter_overrides.items()}
+        spec.refuse_unknown(self.given, self.specs)
+        self._values = spec.completed(self.specs, self.given)
+        self._values['use_sim_time'] = self.get_parameter('use_sim_time').value
+        self.settings = self.settings_of(self._values)
+        for each in self.specs:
+            self.declare_parameter(each.name, self._values[each.name], each.descriptor)
+        self.add_on_set_parameters_callback(self._on_set)
+        self.add_post_set_parameters_callback(self._on_changed)
 
     # --- for subclasses to implement
 
@@ -121,18 +129,6 @@ class Managed(LifecycleNodeMixin, Node):
         """Perform the safe action now; called on shutdown and after every failure."""
 
     # --- parameters
-
-    def _take_parameters(self) -> None:
-        """Declare the parameters with the values given for them, if these are allowed."""
-        self.given = {name: each.value for name, each in self._parameter_overrides.items()}
-        spec.refuse_unknown(self.given, self.specs)
-        self._values = spec.completed(self.specs, self.given)
-        self._values['use_sim_time'] = self.get_parameter('use_sim_time').value
-        self.settings = self.settings_of(self._values)
-        for each in self.specs:
-            self.declare_parameter(each.name, self._values[each.name], each.descriptor)
-        self.add_on_set_parameters_callback(self._on_set)
-        self.add_post_set_parameters_callback(self._on_changed)
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
         values = self._values | {each.name: each.value for each in changes}
@@ -512,7 +508,14 @@ def _require_ros_words(node_type: type[Managed]) -> None:
 
 def _live(node: Managed) -> int:
     """Spin a node until it is done or signalled, send final safe commands; return its code."""
-    received = _signals()
+    received: list[int] = []  # SIGINT and SIGTERM from now on
+
+    def take(number: int, _frame: Any) -> None:
+        _end_at_last()
+        received.append(number)
+
+    for number in SIGNALS:
+        signal.signal(number, take)
     for name, closed in ((RANGE, ('LOCALHOST', 'OFF')), (PEERS, (None, ''))):
         if (given := os.environ.get(name)) not in closed:
             node.get_logger().warning(f'{name}={given}: open to other machines')
@@ -532,19 +535,6 @@ def _live(node: Managed) -> int:
     node.flush()
     executor.shutdown()
     return node.exit_code or DONE
-
-
-def _signals() -> list[int]:
-    """Record SIGINT and SIGTERM from now on; return the list of those received."""
-    received: list[int] = []
-
-    def take(number: int, _frame: Any) -> None:
-        _end_at_last()
-        received.append(number)
-
-    for number in SIGNALS:
-        signal.signal(number, take)
-    return received
 
 
 def _end_at_last() -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from orbimpc_ros.loop.capture import Events
 from orbimpc_ros.loop.goal.forecast import FORECASTS
-from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, GoalTrajectory, Route
+from orbimpc_ros.loop.goal.motion import GoalMotion, GoalObservation, Route
 from orbimpc_ros.loop.intercept import steps_before
 from orbimpc_ros.loop.planner import Decision, Planner, Snapshot
 from orbimpc_ros.loop.traffic import MOST, ObservedTraffic, ObstacleTracker, silence
@@ -201,8 +201,12 @@ class Inputs:
         limit, last = self.settings.goal_jump_limit, self.latest.get(topic)
         if limit == 0.0 or last is None or isinstance(value, Route):
             return
-        time = stamp.nanoseconds / SECOND
-        jump = float(np.linalg.norm(_place(value, time) - _place(last.value, time)))
+        at = np.array([stamp.nanoseconds / SECOND])
+        before, place = (
+            each.position if isinstance(each, GoalObservation) else each.at(at)[0]
+            for each in (last.value, value)
+        )
+        jump = float(np.linalg.norm(place - before))
         if jump > limit and fresh:
             raise BadInput('goal jump', f'{jump:.3g} m', f'at most goal_jump_limit, {limit:g} m')
         if jump > limit and topic == 'goal':
@@ -509,10 +513,6 @@ def others(settings: PlannerSettings, resolve: Callable[[str], str]) -> tuple[st
     """Return the topics of other vehicles' plans, without one's own: a fleet may share its list."""
     named = dict.fromkeys(map(resolve, settings.avoid))
     return tuple(name for name in named if name != resolve(PLAN))
-
-
-def _place(value: GoalObservation | GoalTrajectory, time: float) -> Array:
-    return value.position if isinstance(value, GoalObservation) else value.at(np.array([time]))[0]
 
 
 def planner_of(settings: PlannerSettings) -> Planner:

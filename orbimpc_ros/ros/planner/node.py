@@ -51,7 +51,7 @@ class EndpointMonitor:
     Attributes:
         sources: message if there are several publishers of odometry; otherwise empty.
         rivals: message if another node commands the vehicle as well; otherwise empty.
-        mismatches: which topics have incompatible ends, and why, by topic.
+        mismatches: why ends are incompatible, by topic; empty where they match.
     """
 
     def __init__(self, node: Node, odometry: Subscription, velocity: Publisher | None) -> None:
@@ -66,33 +66,30 @@ class EndpointMonitor:
         self.rivals = self._several(self._velocity, ': the vehicle hears them all')
         self._rota = self._rota or [*self._node.publishers, *self._node.subscriptions]
         end = self._rota.pop()
-        self.mismatches.pop(end.topic_name, None)
-        if mismatch := _mismatch(self._node, end):
-            self.mismatches[end.topic_name] = mismatch
+        self.mismatches[end.topic_name] = self._mismatch(end)
 
     def _several(self, end: Publisher | Subscription | None, words: str) -> str:
         count = 0 if end is None else self._node.count_publishers(end.topic_name)
         return f'{count} publishers on {end.topic_name}{words}' if end and count > 1 else ''
 
-
-def _mismatch(node: Node, end: Publisher | Subscription) -> str:
-    """Return which other end is incompatible with ``end``, and why; empty if none is."""
-    topic = end.topic_name
-    ends = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
-    same, others = ends if isinstance(end, Publisher) else ends[::-1]
-    # The own end comes from DDS, with the defaults of its profile filled in, like any other.
-    own = [each for each in same if full_name(each) == node.get_fully_qualified_name()]
-    for other in others if own else ():
-        who, kind = f'{topic} of {full_name(other)}', own[0].topic_type
-        if other.topic_type != kind:
-            return f'{who} is a {other.topic_type}, not a {kind}'
-        pair = (own[0].qos_profile, other.qos_profile)
-        verdict, why = qos_check_compatible(*(pair if same is ends[0] else pair[::-1]))
-        if verdict == QoSCompatibility.ERROR:
-            errors = [each for each in why.split(';') if each.startswith(INCOMPATIBLE)]
-            reasons = ', '.join(each.removeprefix(INCOMPATIBLE) for each in errors)
-            return f'{who} does not match: {reasons}'
-    return ''
+    def _mismatch(self, end: Publisher | Subscription) -> str:
+        """Return which other end is incompatible with ``end``, and why; empty if none is."""
+        node, topic = self._node, end.topic_name
+        ends = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
+        same, others = ends if isinstance(end, Publisher) else ends[::-1]
+        # The own end comes from DDS, with the defaults of its profile filled in, like any other.
+        own = [each for each in same if full_name(each) == node.get_fully_qualified_name()]
+        for other in others if own else ():
+            who, kind = f'{topic} of {full_name(other)}', own[0].topic_type
+            if other.topic_type != kind:
+                return f'{who} is a {other.topic_type}, not a {kind}'
+            pair = (own[0].qos_profile, other.qos_profile)
+            verdict, why = qos_check_compatible(*(pair if same is ends[0] else pair[::-1]))
+            if verdict == QoSCompatibility.ERROR:
+                errors = [each for each in why.split(';') if each.startswith(INCOMPATIBLE)]
+                reasons = ', '.join(each.removeprefix(INCOMPATIBLE) for each in errors)
+                return f'{who} does not match: {reasons}'
+        return ''
 
 
 EVENTS = ('arrived', 'caught')  # topics
@@ -151,7 +148,13 @@ class PlannerNode(Managed):
         )
         self._core.inputs.lag = settings.step if simulated else 0.0
         self._create_subscriptions(settings)
-        self._create_timers(settings)
+        if settings.trigger == 'timer':
+            # In ROS time: simulated time sets the pace. All monitoring uses the steady clock.
+            self.create_timer(settings.period, self.at_work(self._plan_if_nothing_is_missing))
+        self._watch_period = min(WATCH, 0.5 * settings.period)
+        self._watchman = self.every(self._watch_period, self._on_watch)
+        # In all states: an inactive planner reports that it is inactive.
+        self.create_timer(HEALTH, self.guard(self._show_health), clock=self.steady)
         self.get_logger().info(summary(settings, simulated))
         for doubt in doubts(settings, self.given):
             self.get_logger().warning(doubt)
@@ -220,15 +223,6 @@ class PlannerNode(Managed):
         self._monitor = EndpointMonitor(self, measured, self._publishers_of.get('cmd_vel'))
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
-
-    def _create_timers(self, settings: PlannerSettings) -> None:
-        if settings.trigger == 'timer':
-            # In ROS time: simulated time sets the pace. All monitoring uses the steady clock.
-            self.create_timer(settings.period, self.at_work(self._plan_if_nothing_is_missing))
-        self._watch_period = min(WATCH, 0.5 * settings.period)
-        self._watchman = self.every(self._watch_period, self._on_watch)
-        # In all states: an inactive planner reports that it is inactive.
-        self.create_timer(HEALTH, self.guard(self._show_health), clock=self.steady)
 
     def _now(self) -> tuple[float, int | None]:
         """Return the steady time [s] and that of ROS [ns], unknown until simulated time starts."""
