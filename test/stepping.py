@@ -18,12 +18,12 @@ def odometry(position=(0.0, 0.0), attitude=0.0, speed=1.0, time=0.0):
     return Odometry(time, np.array(position, float), attitude.copy(), speed * np.eye(n)[0], still)
 
 
-def launched(model, position, attitude, *, fraction=1.0, velocity=None, body_rate=None):
+def launched(model, position, attitude, *, fraction=1.0, velocity=0.0, body_rate=0.0):
     """Return the vehicle of a model at time 0; velocity and body rate are 0 unless given."""
-    still = np.zeros(model.dimension)
-    velocity = still if velocity is None else velocity
-    rate = np.zeros(model.rates) if body_rate is None else body_rate
-    return model.begun(Vehicle(0.0, position, velocity, attitude, rate, fraction, still))
+    still, rate = np.zeros(model.dimension), np.zeros(model.rates) + body_rate
+    wind = model.blown * (model.translation_order == 1)
+    start = Vehicle(0.0, position, still + velocity, attitude, rate, fraction, wind)
+    return model.flown(start, 0.0, fraction, rate)[-1]
 
 
 def started(plant, heading=0.0, fraction=0.0):

@@ -13,13 +13,13 @@ from orbimpc_ros.mpc.plan import stop
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.ros.planner.outputs import obeyed
-from orbimpc_ros.sim.fleet import separations
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import measured
 from orbimpc_ros.sim.world import departure
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.bags import fields
 from orbimpc_ros.tool.demo import fleet
+from orbimpc_ros.tool.history import separations
 from orbimpc_ros.tool.offline import OfflinePlanner
 
 SHORT = ('horizon=4', 'gap_tolerance=0.05', 'max_ticks=15')  # until after the middle of the ring

@@ -12,10 +12,11 @@ from orbimpc_ros.loop.capture import STAY, Events, closest_approach, is_headed
 from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Approach, Ball, Box, MovingObstacle, Problem
-from orbimpc_ros.sim.fleet import LEAST_RING, separations, vehicles
+from orbimpc_ros.sim.fleet import LEAST_RING, vehicles
 from orbimpc_ros.sim.parameters import SimSettings
 from orbimpc_ros.sim.vehicle import Plant
 from orbimpc_ros.sim.world import departure, touched
+from orbimpc_ros.tool.history import separations
 
 
 def rope_at(*place):

@@ -22,15 +22,9 @@ from orbimpc_ros.sim.world import departure
 
 def drawn(model, rng, turning=1.0):
     """Return a vehicle in a random state."""
-    n = model.dimension
-    return launched(
-        model,
-        rng.normal(size=n),
-        exp(rng.normal(size=model.rates)),
-        fraction=rng.uniform(),
-        velocity=rng.normal(size=n),
-        body_rate=turning * rng.normal(size=model.rates),
-    )
+    (place, velocity), share = rng.normal(size=(2, model.dimension)), rng.uniform()
+    attitude, rate = exp(rng.normal(size=model.rates)), turning * rng.normal(size=model.rates)
+    return launched(model, place, attitude, fraction=share, velocity=velocity, body_rate=rate)
 
 
 def stepped(model, vehicle, fraction, rate):

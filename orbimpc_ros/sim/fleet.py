@@ -3,15 +3,12 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from orbimpc_ros.loop.capture import closest_approach
-from orbimpc_ros.mpc.arrays import Array, whole
+from orbimpc_ros.mpc.arrays import whole
 
 MOST = 64  # vehicles
 RING = 1.5  # [m] radius of the ring of starts
@@ -25,7 +22,6 @@ ASTRAY = 0.5  # [m] largest offset of starts and goals of a crossing from the ri
 FLEETS = {'fleet': 4, 'crossing': 8}  # default number of vehicles
 
 Parameters = dict[str, Any]
-Track = tuple[Array, Array]  # increasing times, shape (M,) [s], and positions, shape (M, n) [m]
 
 
 def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
@@ -39,47 +35,27 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
     Raises:
         BadInput: ``count`` is not in [1, 64].
     """
-    whole(count, 'vehicles', 1, MOST)
-    return {f'/uav{k + 1}': _drawn(fleet, k, count, seed) for k in range(count)}
-
-
-def _drawn(fleet: str, number: int, count: int, seed: int) -> Parameters:
-    """Return the parameters of a vehicle, numbered from 0."""
-    rng, place = np.random.default_rng([seed, number]), 2.0 * math.pi * number / count
-    outwards = np.array([math.cos(place), math.sin(place)])
-    swing, frequency, phase = 0.0, 0.0, np.zeros(2)
-    if fleet == 'fleet':
-        start, goal = RING * outwards, (RING + rng.uniform(*AHEAD)) * outwards
-        swing, frequency = SWING, rng.uniform(*FREQUENCIES)
-        phase = rng.uniform(0.0, 2.0 * math.pi, 2)
-    else:
-        across = max(LEAST_RING, ROOM * count / (2.0 * math.pi)) * outwards
-        start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([across, -across])
-    x, y = goal - start
-    half = 0.5 * math.atan2(y, x)
-    return {
-        'rope.center': (*goal.tolist(), 0.0),
-        'rope.amplitude': (swing, swing, 0.0),
-        'rope.frequency': frequency,
-        'rope.phase': (*phase.tolist(), 0.0),
-        'start.position': (*start.tolist(), 0.0),
-        'start.orientation': (0.0, 0.0, math.sin(half), math.cos(half)),
-        'seed': (seed + number + 1) % 2**31,
-    }
-
-
-def separations(tracks: Mapping[str, Track]) -> tuple[Array, dict[tuple[str, str], Array]]:
-    """Return all K times and, for each pair, the least distance in each interval, (K - 1,) [m].
-
-    It is infinite unless both fly. Motion from one position to the next is linear.
-    """
-    times = np.unique(np.concatenate([stamps for stamps, _ in tracks.values()]))
-    ways = {
-        name: np.column_stack([np.interp(times, stamps, x, np.nan, np.nan) for x in places.T])
-        for name, (stamps, places) in tracks.items()
-    }
-    found = {}
-    for one, other in itertools.combinations(ways, 2):
-        ends = ((ways[each][:-1], ways[each][1:]) for each in (one, other))
-        found[one, other] = np.nan_to_num(closest_approach(*ends)[0], nan=np.inf)
-    return times, found
+    found = dict[str, Parameters]()
+    for number in range(whole(count, 'vehicles', 1, MOST)):
+        rng, place = np.random.default_rng([seed, number]), 2.0 * math.pi * number / count
+        outwards = np.array([math.cos(place), math.sin(place)])
+        swing, frequency, phase = 0.0, 0.0, np.zeros(2)
+        if fleet == 'fleet':
+            start, goal = RING * outwards, (RING + rng.uniform(*AHEAD)) * outwards
+            swing, frequency = SWING, rng.uniform(*FREQUENCIES)
+            phase = rng.uniform(0.0, 2.0 * math.pi, 2)
+        else:
+            across = max(LEAST_RING, ROOM * count / (2.0 * math.pi)) * outwards
+            start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([across, -across])
+        x, y = goal - start
+        half = 0.5 * math.atan2(y, x)
+        found[f'/uav{number + 1}'] = {
+            'rope.center': (*goal.tolist(), 0.0),
+            'rope.amplitude': (swing, swing, 0.0),
+            'rope.frequency': frequency,
+            'rope.phase': (*phase.tolist(), 0.0),
+            'start.position': (*start.tolist(), 0.0),
+            'start.orientation': (0.0, 0.0, math.sin(half), math.cos(half)),
+            'seed': (seed + number + 1) % 2**31,
+        }
+    return found

@@ -89,22 +89,17 @@ class SimNode(Managed):
         self._rate = 1.0 if self._wall else known.rate  # as a multiple of real time; 0: no limit
         if self._rate:
             self.every(known.model.step / self._rate, self._on_rate)
-        if self._wall:
-            self._watch()
-        elif known.clock == 'shared':
+        self.every(LOOK, self._go_on)
+        if known.clock == 'shared':
             self._shared = -math.inf
             self.create_subscription(Clock, '/clock', self.at_work(self._on_clock), deep)
-        self.every(LOOK, self._go_on)
-
-    def _watch(self) -> None:
-        """Watch the liveliness of planners in real time."""
-        # Publishers without a liveliness lease do not match this QoS, which is no fault.
-        events = SubscriptionEventCallbacks(
-            liveliness=self.at_work(self._on_life), incompatible_qos=lambda _event: None
-        )
-        lease = max(LIFE, SHARE * self._known.given_command_timeout)
-        kind, unread = message_of('cmd_vel'), lambda _message: None
-        self.create_subscription(kind, 'cmd_vel', unread, qos(lease=lease), event_callbacks=events)
+        if self._wall:  # publishers without a liveliness lease do not match, which is no fault
+            lease, kind = max(LIFE, SHARE * known.given_command_timeout), message_of('cmd_vel')
+            events = SubscriptionEventCallbacks(
+                liveliness=self.at_work(self._on_life), incompatible_qos=lambda _event: None
+            )
+            lasting: Any = {'qos_profile': qos(lease=lease), 'event_callbacks': events}
+            self.create_subscription(kind, 'cmd_vel', lambda _message: None, **lasting)
 
     def activate(self) -> None:
         """Start a flight; after an earlier one, at a later time: stamps must not go back."""
@@ -273,9 +268,7 @@ class SimNode(Managed):
 
     def _answer(self, sent: list[Seen], answered: int | None) -> Answer:
         """Publish the flight until odometry of a stamp [ns], if any, is answered; return that."""
-        begun = self.steady_now()
-        # Vehicles with a shared clock wait for each other, too.
-        longest = math.inf if self._known.clock == 'shared' else PATIENCE
+        begun, shared = self.steady_now(), self._known.clock == 'shared'
         while True:
             asked, waited = self.steady_now(), 0.0
             self._show(sent, APART if self._known.faults != Faults() else 0.0)
@@ -286,8 +279,9 @@ class SimNode(Managed):
                 waited = self.steady_now() - asked
             if answered is None:
                 return None
-            absent = self._planner_lacking or NO_ANSWER
-            self._give_up(absent, begun, min(longest, self._patience))
+            # Vehicles with a shared clock wait for each other, too.
+            patience = self._patience if shared else min(PATIENCE, self._patience)
+            self._give_up(self._planner_lacking or NO_ANSWER, begun, patience)
 
     # --- in real time
 

@@ -220,7 +220,7 @@ class SimSettings(VehicleParameters):
 
     @cached_property
     def start(self) -> Vehicle:
-        """Return the vehicle as its model takes it over, before it has met the wind."""
+        """Return the vehicle before it moves; at translation order 1 its velocity follows then."""
         unit = np.roll(self.start_orientation, 1)  # w, x, y, z
         if len(unit) != 4 or not abs(np.linalg.norm(unit) - 1.0) <= QUATERNION_TOLERANCE:
             given = list(self.start_orientation)
@@ -234,7 +234,7 @@ class SimSettings(VehicleParameters):
             attitude=nearest(self.frames.turned(attitude)),
             body_rate=self.frames.turned(body_rate)[-self.model.rates :],
             fraction=self.start_fraction,
-            wind=np.zeros(self.dimension),
+            wind=self.disturbance * (self.translation_order == 1),
         )
 
     @cached_property
@@ -243,12 +243,11 @@ class SimSettings(VehicleParameters):
         numbers, n = self.given_traffic, self.dimension
         if len(numbers) % (2 * n + 1):
             raise BadInput('traffic', list(numbers), f'{2 * n + 1} numbers for each ball')
-        rows = np.array(numbers, dtype=float).reshape(-1, 2 * n + 1)
-        for row in rows:
-            number(float(row[-1]), 'traffic radius', 0.0, above=True)
-        return tuple(
-            MovingObstacle.drifting(Ball(row[:n], float(row[-1])), row[n:-1]) for row in rows
-        )
+        found = []
+        for row in np.reshape(numbers, (-1, 2 * n + 1)).astype(float):
+            ball = Ball(row[:n], number(row[-1], 'traffic radius', 0.0, above=True))
+            found.append(MovingObstacle.drifting(ball, row[n:-1]))
+        return tuple(found)
 
     @cached_property
     def bodies(self) -> tuple[MovingObstacle, ...]:

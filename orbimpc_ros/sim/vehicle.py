@@ -41,7 +41,6 @@ class Model:
     disturbance: tuple[float, ...] = ()  # wind [m/s] or acceleration [m/s^2], shape (n,) or (0,)
     discretisation: str = 'euler'  # or ``exact``, as in the Problem
 
-    lags = False  # whether it responds to commands with lags, the failsafe's included
     gain = 1.0  # actual speed or thrust as a share of the command
 
     @property
@@ -53,16 +52,6 @@ class Model:
     def rates(self) -> int:
         """Return the number of components of a body rate: 1 in the plane, 3 in space."""
         return 1 if self.dimension == 2 else 3
-
-    def begun(self, vehicle: Vehicle) -> Vehicle:
-        """Return the vehicle at the start in the air of this model, given as in still air.
-
-        At translation order 1, its velocity is that of its share of full speed through this air.
-        """
-        if self.translation_order == 2:
-            return vehicle
-        wind = self._wind(0.0)
-        return replace(vehicle, velocity=self._pushed(vehicle) + wind, wind=wind)
 
     def flown(
         self, vehicle: Vehicle, span: float, fraction: float, body_rate: Array
@@ -90,10 +79,6 @@ class Model:
             if exact:
                 way = way + span * span * (before / 3.0 + after / 6.0 + 0.5 * self.blown)
         return (replace(end, position=vehicle.position + way, velocity=velocity),)
-
-    def _wind(self, _time: float) -> Array:
-        """Return the wind [m/s] or acceleration [m/s^2] at a time of the flight [s], shape (n,)."""
-        return self.blown
 
     def _pushed(self, vehicle: Vehicle) -> Array:
         """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
@@ -168,8 +153,6 @@ class Plant(Model):
     gust_time: float = 3.0  # their correlation time [s]
     seed: int = 0  # of the gusts
 
-    lags = True
-
     def __post_init__(self) -> None:
         if self.translation_order == 1 and self.drag:
             raise BadInput('drag', self.drag, '0 at translation_order 1, which commands airspeed')
@@ -194,6 +177,7 @@ class Plant(Model):
         return tuple(trail)
 
     def _wind(self, time: float) -> Array:
+        """Return the wind [m/s] or acceleration [m/s^2] at a time of the flight [s], shape (n,)."""
         if not self.gust:
             return self.blown
         return self.blown + self.gust * gusts(time, self.dimension, self.gust_time, self.seed)

@@ -18,6 +18,7 @@ from orbimpc_ros.mpc.problem import Ball, MovingObstacle
 from orbimpc_ros.sim import vehicle as vehicles
 from orbimpc_ros.sim.engines import EngineFailure, Vehicle
 from orbimpc_ros.sim.parameters import SimSettings
+from orbimpc_ros.sim.vehicle import Plant
 
 ROUNDING = 1e-6  # relative tolerance of the stall speed
 
@@ -117,7 +118,7 @@ class Flight:
         if held < model.step:
             safe, left = self.settings.failsafe, model.step - max(0.0, held)
             last, (share, turn) = (self.vehicle, *trail)[-1], safe
-            if not (model.lags or engine):  # at once; at translation order 2 the vehicle coasts
+            if not (engine or isinstance(model, Plant)):  # at once; at order 2 the vehicle coasts
                 last = replace(last, fraction=share, body_rate=turn)
             trail += flown(last, left, *safe)
         return self._along(trail)
@@ -166,8 +167,8 @@ def departure(settings: SimSettings) -> Flight:
         except EngineFailure as error:
             raise BadInput('vehicle', settings.vehicle, f'a possible start ({error})') from None
         start = replace(engine.state(), engine=engine)
-    else:
-        start = settings.model.begun(start)
+    else:  # at order 1, this gives it the velocity of its speed in this air
+        (start,) = settings.model.flown(start, 0.0, start.fraction, start.body_rate)
     flight = Flight(settings, start, least_airspeed=start.airspeed)
     return replace(flight, stalls=int(flight.stalled))
 

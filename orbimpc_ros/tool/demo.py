@@ -22,7 +22,7 @@ from orbimpc_ros.ros.entry import COMPILING, PACKAGES
 from orbimpc_ros.ros.messages import SECOND, UNDATED, stamp_of, time_message
 from orbimpc_ros.ros.process import LATCHED, LATEST, attached, qos
 from orbimpc_ros.ros.topics import Topic, topics_of
-from orbimpc_ros.sim.fleet import FLEETS, separations, vehicles
+from orbimpc_ros.sim.fleet import FLEETS, vehicles
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.vehicle import ENGINES, class_of
 from orbimpc_ros.tool import history, settings
@@ -135,7 +135,8 @@ def clearance(flown: Mapping[str, History]) -> bool:
     radius = next(iter(flown.values())).values['avoid_radius']
     if not radius:
         return True
-    _, found = separations({name: (each.times, each.positions) for name, each in flown.items()})
+    tracks = {name: (each.times, each.positions) for name, each in flown.items()}
+    _, found = history.separations(tracks)
     for pair, apart in found.items():
         if min(apart) < radius:
             print(f'COLLISION     {" and ".join(pair)} within {min(apart):.3f} m of each other')

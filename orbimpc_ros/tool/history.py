@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import textwrap
 from collections import defaultdict
@@ -24,6 +25,7 @@ from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 
+Track = tuple[Array, Array]  # increasing times, shape (M,) [s], and positions, shape (M, n) [m]
 WANTED = ('captured', 'goal', 'odom', 'plan', 'tick', 'truth')
 WIDTH, NAMES = 80, 14  # characters
 NEAR = 2.0  # [capture radii]: a closer local minimum of the distance is a near miss
@@ -190,9 +192,23 @@ def _seen(at: Array, sighted: Mapping[str, Array], longest: float) -> Array:
     return _interpolated(at, times, np.insert(places, held + 1, places[held], axis=0))
 
 
-def _interpolated(at: Any, known: Any, rows: Array) -> Array:
-    """Return rows, given at known places, at other places, interpolated linearly."""
-    return np.column_stack([np.interp(at, known, column) for column in rows.T])
+def _interpolated(at: Any, known: Any, rows: Array, outside: float | None = None) -> Array:
+    """Return rows, given at known places, at others, interpolated linearly; ``outside`` beyond."""
+    return np.column_stack([np.interp(at, known, x, outside, outside) for x in rows.T])
+
+
+def separations(tracks: Mapping[str, Track]) -> tuple[Array, dict[tuple[str, str], Array]]:
+    """Return all K times and, for each pair, the least distance in each interval, (K - 1,) [m].
+
+    It is infinite unless both fly. Motion from one position to the next is linear.
+    """
+    times = np.unique(np.concatenate([stamps for stamps, _ in tracks.values()]))
+    ways = {name: _interpolated(times, *track, np.nan) for name, track in tracks.items()}
+    found = {}
+    for pair in itertools.combinations(ways, 2):
+        ends = ((ways[each][:-1], ways[each][1:]) for each in pair)
+        found[pair] = np.nan_to_num(closest_approach(*ends)[0], nan=np.inf)
+    return times, found
 
 
 # --- as text

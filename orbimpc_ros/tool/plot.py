@@ -29,10 +29,9 @@ from PIL import Image
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
-from orbimpc_ros.sim.fleet import separations
 from orbimpc_ros.tool import settings
 from orbimpc_ros.tool.files import folder_at
-from orbimpc_ros.tool.history import History, of_bag, story
+from orbimpc_ros.tool.history import History, of_bag, separations, story
 
 INK, BLUE, SKY, ORANGE, GREEN, RED, GREY, FAINT = (f'C{place}' for place in range(8))
 PATH, DATA = 'trajectory.png', 'data.png'

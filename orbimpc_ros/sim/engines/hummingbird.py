@@ -86,8 +86,7 @@ class Hummingbird(Engine):
         self._model = mujoco.MjModel.from_xml_string(scene(np.append(rest, ABOVE)))
         self._data = mujoco.MjData(self._model)
         self._vehicle = self._model.body('vehicle').id
-        hook = (self._model.geom(name).id for name in ('hook boom', 'hook bar'))
-        self._hook = frozenset(hook)
+        self._hook = {self._model.geom(name).id for name in ('hook boom', 'hook bar')}
         self._multirotor = Multirotor(quad_params, control_abstraction='cmd_motor_speeds')
         self._controller = SE3Control(quad_params)
         hover = math.sqrt(quad_params['mass'] * 9.81 / (4.0 * quad_params['k_eta']))
