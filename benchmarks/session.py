@@ -59,7 +59,7 @@ class Session(Observer):
         Raises:
             OrbimpcError: ``done`` never becomes true, or the last process has ended.
         """
-        self.spin(PATIENCE, lambda: bool(done()) or not self.processes[-1].running)
+        self.spin(PATIENCE, lambda: bool(done()) or self.processes[-1].poll() is not None)
         if not done():
             self.processes[-1].require_health()
             said = self.processes[-1].output.splitlines()[-3:]

@@ -4,6 +4,8 @@
 ``ORBIMPC_SEEDS=1000:1100 pytest test/test_ros_crossing.py`` flies other crossings.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from problems import seeds
@@ -53,10 +55,10 @@ def flown(values):
             flights[name] = flight.after(command.speed_fraction, command.body_rate)
             tracks[name].append(flights[name])
             fallbacks.append(fields(said['tick'])['fallback'])
-    places = {
-        name: tuple(np.array([getattr(f.vehicle, of) for f in each]) for of in ('time', 'position'))
-        for name, each in tracks.items()
-    }
+    places = {}
+    for name, each in tracks.items():
+        times, way = zip(*((f.vehicle.time, f.vehicle.position) for f in each), strict=True)
+        places[name] = SimpleNamespace(times=np.array(times), positions=np.array(way))
     return min(map(min, separations(places)[1].values())), fallbacks
 
 

@@ -169,7 +169,7 @@ def test_left_alone_it_waits_to_be_managed_and_shut_down_it_is_silent_for_good(
     observer.until(lambda: not moving(manager.commands[-1]), 'the safe command')
     assert manager.state == 'finalized'
     observer.until(lambda: not observer.node.count_publishers('cmd_vel'), 'silence')
-    assert manager.planner.running
+    assert manager.planner.poll() is None
     assert manager.planner.stop() == 0, manager.planner.output
 
 

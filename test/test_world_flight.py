@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -257,18 +258,19 @@ def test_vehicles_are_apart_as_looking_often_finds_them():
                     for a, b in zip(here.T, there.T, strict=True)
                 ]
                 least = min(least, np.hypot(*apart).min())
-        times, found = separations(dict(enumerate(tracks)))
+        known = (SimpleNamespace(times=times, positions=way) for times, way in tracks)
+        times, found = separations(dict(enumerate(known)))
         assert found.keys() == {(0, 1), (0, 2), (1, 2)}
         assert {len(each) for each in found.values()} == {len(times) - 1}
         assert least - 0.01 < min(map(min, found.values())) <= least + 1e-9
     straight = np.array([0.0, 2.0])
     ways = {
-        'a': (straight, np.array([[-1.0, 0.3], [1.0, 0.3]])),
-        'b': (straight, np.array([[0.0, -1.0], [0.0, 1.0]])),
+        'a': SimpleNamespace(times=straight, positions=np.array([[-1.0, 0.3], [1.0, 0.3]])),
+        'b': SimpleNamespace(times=straight, positions=np.array([[0.0, -1.0], [0.0, 1.0]])),
     }
     assert separations(ways)[1] == {('a', 'b'): pytest.approx(0.3 / math.sqrt(2.0))}
-    later = {'a': ways['a'], 'b': (straight + 3.0, ways['b'][1])}
-    assert np.isinf(separations(later)[1]['a', 'b']).all()
+    ways['b'].times = straight + 3.0
+    assert np.isinf(separations(ways)[1]['a', 'b']).all()
 
 
 # --- events: captures, arrivals, and new goals

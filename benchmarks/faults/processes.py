@@ -161,7 +161,7 @@ def _signalled(number: int) -> Any:
 
 def _exit_code(harness: Harness) -> int | None:
     """Return the exit code of the planner; None if it has not ended."""
-    harness.spin(PATIENCE, lambda: not harness.planner.running)
+    harness.spin(PATIENCE, lambda: harness.planner.poll() is not None)
     return harness.planner.poll()
 
 

@@ -135,8 +135,7 @@ def clearance(flown: Mapping[str, History]) -> bool:
     radius = next(iter(flown.values())).values['avoid_radius']
     if not radius:
         return True
-    tracks = {name: (each.times, each.positions) for name, each in flown.items()}
-    _, found = history.separations(tracks)
+    _, found = history.separations(flown)
     for pair, apart in found.items():
         if min(apart) < radius:
             print(f'COLLISION     {" and ".join(pair)} within {min(apart):.3f} m of each other')
@@ -166,6 +165,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={isolate(folder)}, results in {folder}')
     names, notes = {f'{each}/planner'.strip('/') for each in namespaces}, {'parameters': text}
+    progress, pacer = ProgressLine(values['max_ticks']), None
     with interruptions() as received, Processes() as started:
 
         def begun(node: str, namespace: str) -> Child:
@@ -176,36 +176,25 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
             {each: begun(node, each) for each in namespaces} for node in ('planner', 'sim')
         )
         with closing(Recorder(folder / 'bag', topics_of(namespaces), notes, names)) as recorder:
-            _watch(planners, sims, recorder, received, values)
+            if values['clock'] == 'shared':
+                begin = sim_settings(settings.of_sim(values)).begin
+                pacer = Pacer(recorder, begin, values['step'])
+            while not received and (flying := [name for name in sims if sims[name].poll() is None]):
+                recorder.spin(SPIN)
+                if pacer is not None:
+                    pacer.look(flying)
+                for planner in planners.values():
+                    planner.require_health()
+                ticks = max(recorder.counts[f'{namespace}/tick'] for namespace in planners)
+                progress.show(ticks, _progress(ticks, values, planners))
+            progress.close()
+            recorder.drain()
+            for namespace, sim in sims.items():
+                # A simulator reports the end of its flight, with or without a catch, there.
+                if not received and not recorder.counts[f'{namespace}/captured']:
+                    sim.require_health()
     if received:
         raise KeyboardInterrupt
-
-
-def _watch(
-    planners: Mapping[str, Child],
-    sims: Mapping[str, Child],
-    recorder: Recorder,
-    received: Sequence[int],
-    values: Values,
-) -> None:
-    """Record until the simulators are done or a signal arrives."""
-    progress, pacer = ProgressLine(values['max_ticks']), None
-    if values['clock'] == 'shared':
-        pacer = Pacer(recorder, sim_settings(settings.of_sim(values)).begin, values['step'])
-    while not received and (flying := [name for name, sim in sims.items() if sim.running]):
-        recorder.spin(SPIN)
-        if pacer is not None:
-            pacer.look(flying)
-        for planner in planners.values():
-            planner.require_health()
-        ticks = max(recorder.counts[f'{namespace}/tick'] for namespace in planners)
-        progress.show(ticks, _progress(ticks, values, planners))
-    progress.close()
-    recorder.drain()
-    for namespace, sim in sims.items():
-        # A simulator reports the end of its flight, with or without a catch, on this topic.
-        if not received and not recorder.counts[f'{namespace}/captured']:
-            sim.require_health()
 
 
 def _progress(ticks: int, values: Values, planners: Mapping[str, Child]) -> str:

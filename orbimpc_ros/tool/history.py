@@ -25,7 +25,6 @@ from orbimpc_ros.sim.world import touched_in_words
 from orbimpc_ros.tool import bags, settings
 from orbimpc_ros.tool.bags import fields, point, seconds
 
-Track = tuple[Array, Array]  # increasing times, shape (M,) [s], and positions, shape (M, n) [m]
 WANTED = ('captured', 'goal', 'odom', 'plan', 'tick', 'truth')
 WIDTH, NAMES = 80, 14  # characters
 NEAR = 2.0  # [capture radii]: a closer local minimum of the distance is a near miss
@@ -197,17 +196,18 @@ def _interpolated(at: Any, known: Any, rows: Array, outside: float | None = None
     return np.column_stack([np.interp(at, known, x, outside, outside) for x in rows.T])
 
 
-def separations(tracks: Mapping[str, Track]) -> tuple[Array, dict[tuple[str, str], Array]]:
+def separations(flown: Mapping[str, History]) -> tuple[Array, dict[tuple[str, str], Array]]:
     """Return all K times and, for each pair, the least distance in each interval, (K - 1,) [m].
 
     It is infinite unless both fly. Motion from one position to the next is linear.
     """
-    times = np.unique(np.concatenate([stamps for stamps, _ in tracks.values()]))
-    ways = {name: _interpolated(times, *track, np.nan) for name, track in tracks.items()}
+    times = np.unique(np.concatenate([each.times for each in flown.values()]))
     found = {}
-    for pair in itertools.combinations(ways, 2):
-        ends = ((ways[each][:-1], ways[each][1:]) for each in pair)
-        found[pair] = np.nan_to_num(closest_approach(*ends)[0], nan=np.inf)
+    for pair in itertools.combinations(flown, 2):
+        both = (flown[name] for name in pair)
+        ways = (_interpolated(times, each.times, each.positions, np.nan) for each in both)
+        apart, _ = closest_approach(*((way[:-1], way[1:]) for way in ways))
+        found[pair] = np.nan_to_num(apart, nan=np.inf)
     return times, found
 
 

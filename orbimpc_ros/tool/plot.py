@@ -243,7 +243,7 @@ def distance(flown: Flights) -> Panel:
 
 def separation(flown: Flights) -> Panel:
     """Return the chart of the least distance between two vehicles since the previous odometry."""
-    times, found = separations({name: (each.times, each.positions) for name, each in flown.items()})
+    times, found = separations(flown)
     least = np.min([*found.values()], axis=0)
     radius = next(iter(flown.values())).values['avoid_radius']
     line = times[1:] - times[0], np.where(np.isfinite(least), least, np.nan)

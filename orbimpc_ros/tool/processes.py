@@ -63,11 +63,6 @@ class Child(subprocess.Popen):
         """Return the output of the process so far."""
         return self._log.read_text(errors='replace')
 
-    @property
-    def running(self) -> bool:
-        """Return whether the process is running."""
-        return self.poll() is None
-
     def require_health(self) -> None:
         """Raise an error if the process has failed.
 
