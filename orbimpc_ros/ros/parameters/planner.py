@@ -254,45 +254,44 @@ def planner_settings(values: Values) -> PlannerSettings:
         BadInput: a value, or a combination, is not allowed.
     """
     settings = settings_from(PlannerSettings, values)
-    for name, given, refused, allowed in _combinations(settings):
+    for topic in settings.avoid:
+        if not TOPIC.fullmatch(topic):
+            raise BadInput('avoid', topic, 'names of topics, such as /uav2/plan')
+    for name, refused, allowed in _combinations(settings):
         if refused:
-            raise BadInput(name, given, allowed)
+            raise BadInput(name, values[name], allowed)
     for made in ('problem', 'approach', 'disturbance', 'frames', 'stated_transforms'):
         getattr(settings, made)  # raises if invalid
     return settings
 
 
-def _combinations(s: PlannerSettings) -> list[tuple[str, object, bool, str]]:
-    """Return incompatible values: parameter, value, whether it is refused, and allowed ones."""
+def _combinations(s: PlannerSettings) -> list[tuple[str, object, str]]:
+    """Return incompatible values: parameter, whether it is refused, and what is allowed."""
     thrust, intercepts = s.translation_order == 2, s.objective == 'intercept'
     return [
-        *(('avoid', topic, not TOPIC.fullmatch(topic), 'names of topics, such as /uav2/plan')
-            for topic in s.avoid),
-        ('plan_period', s.plan_period, s.plan_period > s.step, f'at most a step, {s.step:g} s'),
-        ('deadline', s.deadline, s.deadline > 0.5 * s.period,
-            f'at most half a period, {0.5 * s.period:g} s'),
-        ('safe_command', 'loiter', s.given_safe_command == 'loiter' and thrust,
+        ('plan_period', s.plan_period > s.step, f'at most a step, {s.step:g} s'),
+        ('deadline', s.deadline > 0.5 * s.period, f'at most half a period, {0.5 * s.period:g} s'),
+        ('safe_command', s.given_safe_command == 'loiter' and thrust,
             'stop | hold_rate_zero | hover at translation_order 2'),
-        ('safe_command', 'hover', s.given_safe_command == 'hover' and not thrust,
+        ('safe_command', s.given_safe_command == 'hover' and not thrust,
             'stop | hold_rate_zero | loiter at translation_order 1'),
-        ('gravity', s.gravity, s.gravity >= s.forward,
+        ('gravity', s.gravity >= s.forward,
             f'below the full thrust of forward, {s.forward:g} m/s^2'),
-        ('velocity_source', 'air', s.velocity_source == 'air' and thrust,
+        ('velocity_source', s.velocity_source == 'air' and thrust,
             'ground at translation_order 2, where wind is an acceleration'),
-        ('autopilot', s.autopilot, bool(s.autopilot) and (s.dimension != 2 or thrust),
+        ('autopilot', s.autopilot and (s.dimension != 2 or thrust),
             "'' unless dimension is 2 and translation_order 1"),
-        ('autopilot', s.autopilot, bool(s.autopilot) and s.velocity_source != 'air',
+        ('autopilot', s.autopilot and s.velocity_source != 'air',
             "'' with velocity_source ground: it gives velocities through the air"),
-        ('sideslip', True, s.sideslip and (s.dimension, s.velocity_source) != (2, 'air'),
+        ('sideslip', s.sideslip and (s.dimension, s.velocity_source) != (2, 'air'),
             'false unless dimension is 2 and velocity_source air'),
-        ('hover_thrust', s.hover_thrust, s.hover_thrust > 0.0 and not s.gravity,
+        ('hover_thrust', s.hover_thrust and not s.gravity,
             '0 without gravity, where nothing hovers'),
-        ('hover_thrust', s.hover_thrust, s.hover_thrust * s.forward > s.gravity,
+        ('hover_thrust', s.hover_thrust * s.forward > s.gravity,
             f'at most gravity / forward, {s.gravity / s.forward:.4g}: full thrust is 1'),
-        ('objective', 'intercept', intercepts and s.terminal != 'penalty',
-            f'track with terminal {s.terminal}'),
-        ('objective', 'intercept', intercepts and s.horizon_mode != 'receding',
+        ('objective', intercepts and s.terminal != 'penalty', f'track with terminal {s.terminal}'),
+        ('objective', intercepts and s.horizon_mode != 'receding',
             f'track with horizon_mode {s.horizon_mode}'),
-        ('avoid_radius', s.avoid_radius, bool(s.avoid) and not s.avoid_radius,
+        ('avoid_radius', s.avoid and not s.avoid_radius,
             "above 0 with avoid: the sum of both vehicles' radii"),
     ]  # fmt: skip

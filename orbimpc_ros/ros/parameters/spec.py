@@ -95,8 +95,7 @@ class ParameterSpec:
             dynamic_typing=True,
         )
         if self.kind is Type.INTEGER:
-            span = IntegerRange(from_value=int(self.low), to_value=int(self.high))
-            described.integer_range = [span]
+            described.integer_range = [IntegerRange(from_value=self.low, to_value=self.high)]
         elif self.kind is Type.DOUBLE:
             span = FloatingPointRange(from_value=self.low, to_value=self.high)
             described.floating_point_range = [span]
