@@ -21,7 +21,7 @@ from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, matri
 
 OTHER = '/uav2/plan'
 QUARTER = math.pi / 2
-TURNED = f'map odom 10.0 0.0 0.0 0.0 0.0 {QUARTER}'  # x of odom is y of map
+TURNED = f'map odom 10.0 0.0 2.0 0.0 0.0 {QUARTER}'  # x of odom is y of map
 
 
 def inputs(**given):
@@ -32,8 +32,8 @@ def in_map(seconds):
     return Stamp(round(seconds * SECOND), Frames('map', 'base_link'))
 
 
-def goal(seconds, x, y, yaw=0.0):
-    message = messages.goal_message(in_map(seconds), np.array([x, y]))
+def goal(seconds, x, y, yaw=0.0, z=0.0):
+    message = messages.goal_message(in_map(seconds), np.array([x, y, z]))
     message.pose.orientation = messages.quaternion(exp(np.array([0.0, 0.0, yaw])))
     return message
 
@@ -86,8 +86,8 @@ def test_frames_are_joined_through_what_they_have_in_common():
 
 def test_a_goal_is_moved_and_turned_by_a_stated_transform():
     box = inputs(transforms=(TURNED,), **{'weights.attitude': 1.0})
-    assert box.update('goal', goal(1.0, 10.0, 4.0, yaw=QUARTER), 0.0) == ''
-    np.testing.assert_allclose(target(box), [4.0, 0.0], atol=1e-12)
+    assert box.update('goal', goal(1.0, 10.0, 4.0, yaw=QUARTER, z=5.0), 0.0) == ''
+    np.testing.assert_allclose([*target(box), box.altitude], [4.0, 0.0, 3.0], atol=1e-12)
     np.testing.assert_allclose(box.snapshot(0.0).wanted, np.eye(2), atol=1e-12)
 
 

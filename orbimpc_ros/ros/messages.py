@@ -237,6 +237,11 @@ def read_transform(message: Transform, name: str) -> tuple[Array, Array]:
         raise BadInput.stating('invalid transform', problem, 'publish a valid one') from None
 
 
+def altitude_of(goal: PoseStamped, move: Array | None) -> float:
+    """Return the altitude of a goal, moved [m]; NaN without one, which is sent as 0."""
+    return float(_placed(goal.pose, move)[0][2]) if goal.pose.position.z else math.nan
+
+
 def _placed(pose: Pose, move: Array | None) -> tuple[Array, Array]:
     """Return position, shape (3,) [m], and unit quaternion (w, x, y, z) of a pose, moved."""
     unit = _quaternion(pose.orientation, 'pose.orientation')

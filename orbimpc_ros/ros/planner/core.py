@@ -112,6 +112,7 @@ class Inputs:
         transforms: between frames.
         displaced: why a goal in another frame is not transformed; otherwise empty.
         bodies: from ``obstacles``.
+        altitude: of the last goal on ``goal`` [m]; NaN without one.
     """
 
     def __init__(self, settings: PlannerSettings, resolve: Callable[[str], str] = str) -> None:
@@ -122,6 +123,7 @@ class Inputs:
         self.refused, self.goal_counts = Counter[str](), Counter[str]()
         self.transforms, self.displaced = Transforms(settings), ''
         self.bodies, self._synchronizer = ObstacleTracker(), messages.PoseTwistSynchronizer()
+        self.altitude = math.nan
         # Whether a topic had the stamp of recent odometry, the present one last, from the first on.
         self._shared: dict[str, list[bool]] = {topic: [] for topic in (*GOALS, OBSTACLES)}
 
@@ -176,6 +178,8 @@ class Inputs:
             self._require_newer(topic, stamp.nanoseconds, fresh=fresh)
         if is_goal:
             self._require_near(topic, stamp, value, fresh=fresh)
+        if topic == 'goal':
+            self.altitude = messages.altitude_of(message, move)
         # Once timed, always timed: what is delayed by minutes must not count as fresh.
         timed: bool | None = apart <= COMPARABLE or (last is not None and last.timed is True)
         if by_hand or (not timed and math.isnan(apart)):
@@ -276,6 +280,7 @@ class Inputs:
         try:
             move = self.transforms.move(goal.moved.header, at)
             _, value = read('goal', goal.moved, self.settings, move)
+            self.altitude = messages.altitude_of(goal.moved, move)
         except BadInput as error:
             self.displaced = f'the goal stays where it was: {error}'
             return

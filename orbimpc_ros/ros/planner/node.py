@@ -128,7 +128,7 @@ class PlannerNode(Managed):
 
     def configure(self) -> None:
         """Compile a planner for the parameters, and connect inputs and outputs."""
-        self._enabled, self._altitude = True, math.nan
+        self._enabled = True
         self._wing: Wing | None = None
         self._refusal, self._refused_at = '', -math.inf
         self._watched = -math.inf  # time of the last checks [s]
@@ -247,7 +247,6 @@ class PlannerNode(Managed):
                 self._repeat_answer(message)
             return
         if topic == 'goal':
-            self._altitude = message.pose.position.z or math.nan  # 0: hold the present one
             goal = inputs.latest['goal']
             self._events.send(goal.value.position, streams=goal.streams)
         known = inputs.odometry
@@ -363,7 +362,7 @@ class PlannerNode(Managed):
         command, self._stamp = decision.command, stamp
         self._command(decision)
         if self._wing is not None and self._gate and not self.settings.dry_run:
-            self._wing.send(self.settings, command, self._altitude)
+            self._wing.send(self.settings, command, self._core.inputs.altitude)
         if self._engaged:
             sent = self._time.nanoseconds
             self._core.planner.sent(command, sent / SECOND)

@@ -148,29 +148,23 @@ def report_messages(
     if 'tick' in heard:
         known = stamp.nanoseconds, f'{node}: tick', level(decision)
         yield 'tick', diagnostics(*known, decision.reason or decision.status, values(decision))
-    if 'plan' in heard and (flown := _flown(settings, decision)):
+    if 'plan' in heard:
+        flown: Iterable[tuple[Array, Array]] = ()
+        if decision.plan is not None:
+            flown = zip(decision.plan.positions, decision.plan.projected, strict=True)
+        elif settings.avoid and decision.state is not None:  # others avoid this vehicle
+            flown = obeyed(settings.problem, decision.state, decision.command)
         poses = [messages.pose(place, stamp.frames.own(turned)) for place, turned in flown]
         step = (decision.problem or settings.problem).step
         after = decision.advanced + decision.led
-        yield 'plan', messages.path_message(stamp, step, poses, after)
+        if poses:
+            yield 'plan', messages.path_message(stamp, step, poses, after)
     if 'plan_markers' in heard and decision.plan is not None and decision.state is not None:
         still = settings.problem.obstacles  # hazards as well if a reserve is kept from them
         moving = tuple(each for each in decision.state.hazards if each.body not in still)
         yield 'plan_markers', plan_markers(stamp, settings.problem, decision.plan, moving)
     for proof in _proofs(decision) if 'certificate' in heard else ():
         yield 'certificate', UInt8MultiArray(data=array('B', text_of(proof).encode()))
-
-
-def _flown(settings: PlannerSettings, decision: Decision) -> list[tuple[Array, Array]]:
-    """Return the predicted positions and attitudes.
-
-    Without a plan, only vehicles that avoid this one are told of any.
-    """
-    if decision.plan is not None:
-        return [*zip(decision.plan.positions, decision.plan.projected, strict=True)]
-    if settings.avoid and decision.state is not None:
-        return obeyed(settings.problem, decision.state, decision.command)
-    return []
 
 
 def _proofs(decision: Decision) -> Iterator[Document]:
