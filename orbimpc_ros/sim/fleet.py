@@ -47,8 +47,7 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
         else:
             across = max(LEAST_RING, ROOM * count / (2.0 * math.pi)) * outwards
             start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([across, -across])
-        x, y = goal - start
-        half = 0.5 * math.atan2(y, x)
+        half = 0.5 * math.atan2(*(goal - start)[::-1])
         found[f'/uav{number + 1}'] = {
             'rope.center': (*goal.tolist(), 0.0),
             'rope.amplitude': (swing, swing, 0.0),

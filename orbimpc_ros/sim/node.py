@@ -7,9 +7,9 @@ import math
 import time
 from collections import Counter
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -380,8 +380,7 @@ class SimNode(Managed):
 # --- commands: a twist, and a thrust at translation order 2
 
 
-@dataclass(frozen=True)
-class Order:
+class Order(NamedTuple):
     """A complete command."""
 
     stamp: int  # of the odometry that it answers [ns]

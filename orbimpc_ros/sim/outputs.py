@@ -148,7 +148,6 @@ def shown(stamp: Stamp, node: str, flight: Flight) -> Iterator[tuple[str, Any]]:
 
 def truth(stamp: Stamp, node: str, flight: Flight) -> DiagnosticArray:
     """Return the vehicle's true state as a diagnostic status."""
-    at, name = stamp.nanoseconds, f'{node}: truth'
     vehicle, now = flight.vehicle, flight.vehicle.airspeed
     values = {
         'airspeed': now,
@@ -162,10 +161,11 @@ def truth(stamp: Stamp, node: str, flight: Flight) -> DiagnosticArray:
         'touched': sorted(flight.touched),
         **vehicle.facts,
     }
+    level, text = messages.OK, 'flies'
     if flight.stalled:
-        slow = f'stalled: {now:.3g} m/s, below {flight.settings.stall_speed:g} m/s'
-        return messages.diagnostics(at, name, messages.WARN, slow, values)
-    return messages.diagnostics(at, name, messages.OK, 'flies', values)
+        level = messages.WARN
+        text = f'stalled: {now:.3g} m/s, below {flight.settings.stall_speed:g} m/s'
+    return messages.diagnostics(stamp.nanoseconds, f'{node}: truth', level, text, values)
 
 
 def world_markers(stamp: Stamp, flight: Flight) -> MarkerArray:

@@ -221,9 +221,8 @@ class SimSettings(VehicleParameters):
     @cached_property
     def start(self) -> Vehicle:
         """Return the vehicle before it moves; at translation order 1 its velocity follows then."""
-        unit = np.roll(self.start_orientation, 1)  # w, x, y, z
+        given, unit = self.start_orientation, np.roll(self.start_orientation, 1)  # w, x, y, z
         if len(unit) != 4 or not abs(np.linalg.norm(unit) - 1.0) <= QUATERNION_TOLERANCE:
-            given = list(self.start_orientation)
             raise BadInput('start.orientation', given, 'a unit quaternion x, y, z, w')
         attitude = from_quaternion(unit / np.linalg.norm(unit), self.dimension)
         body_rate = vector(self.start_body_rate, 'start.body_rate', 3)
@@ -273,8 +272,7 @@ def sim_settings(values: Values) -> SimSettings:
     Raises:
         BadInput: a value, or a combination, is not allowed.
     """
-    faults = settings_from(Faults, values)
-    settings = replace(settings_from(SimSettings, values), faults=faults)
+    settings = replace(settings_from(SimSettings, values), faults=settings_from(Faults, values))
     fixed = FIXED.get(settings.vehicle, ())
     for spec in SIM:  # zero and the default say nothing
         value = spec.typed(values[spec.name])

@@ -116,11 +116,10 @@ class Flight:
         if held > 0.0:
             trail = flown(self.vehicle, min(held, model.step), fraction, body_rate)
         if held < model.step:
-            safe, left = self.settings.failsafe, model.step - max(0.0, held)
-            last, (share, turn) = (self.vehicle, *trail)[-1], safe
+            (share, turn), last = self.settings.failsafe, (self.vehicle, *trail)[-1]
             if not (engine or isinstance(model, Plant)):  # at once; at order 2 the vehicle coasts
                 last = replace(last, fraction=share, body_rate=turn)
-            trail += flown(last, left, *safe)
+            trail += flown(last, model.step - max(0.0, held), share, turn)
         return self._along(trail)
 
     def _along(self, trail: tuple[Vehicle, ...]) -> Flight:
@@ -131,16 +130,14 @@ class Flight:
         unit = model.step**model.translation_order * model.forward  # of lengths, as in the Problem
         grazed = TOLERANCE * unit  # penetration allowed in plans
         for vehicle in trail:
-            now = replace(before, vehicle=vehicle)
+            now, times = replace(before, vehicle=vehicle), (before.vehicle.time, vehicle.time)
             goals = np.append(before.goal, 0.0), np.append(now.goal, 0.0)
             near, share = map(float, closest_approach((before._place, now._place), goals))
             if near < miss and not (before.vehicle.caught or before.vehicle.lost):
-                begun = before.vehicle.time
-                miss, missed_at = near, begun + share * (vehicle.time - begun)
+                miss, missed_at = near, times[0] + share * (times[1] - times[0])
                 headings = before.vehicle.attitude[:, 0], vehicle.attitude[:, 0]
                 headed = is_headed(self.settings.approach, headings, share)
             ends = before.vehicle.position, vehicle.position
-            times = before.vehicle.time, vehicle.time
             before = replace(
                 now,
                 touched=now.touched | touched(bodies, ends, times, grazed),

@@ -73,8 +73,7 @@ class Cessna(Engine):
         try:
             self._set({'simulation/do_simple_trim': 1.0})
         except jsbsim.TrimFailureError as error:
-            why = f'{self.name}: no level flight at {speed:g} m/s'
-            raise EngineFailure(why) from error
+            raise EngineFailure(f'{self.name}: no level flight at {speed:g} m/s') from error
         # After trimming: turbulence, and both autopilots.
         self._set(
             {
