@@ -5,11 +5,11 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_381,
+    'orbimpc_ros': 28_373,
     'orbimpc_ros/mpc': 14_683,
     'orbimpc_ros/loop': 3_258,
     'orbimpc_ros/ros': 4_051,
-    'orbimpc_ros/sim': 2_208,
+    'orbimpc_ros/sim': 2_200,
     'orbimpc_ros/tool': 4_054,
     'benchmarks': 3_351,
     'test': 17_910,
