@@ -43,7 +43,7 @@ from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Relaxed, R
 from orbimpc_ros.mpc.solve.request import Request
 
 SLICE = 1e6  # multiplications between two polls of the deadline: about a millisecond
-SIGMA = (1.0, 1e6)  # first and largest penalty parameter, times the scale of the gradients
+SIGMA = (0.01, 1e6)  # first and largest penalty parameter, times the scale of the gradients
 EASY = 12  # horizon up to which solves hardly ever stall
 USUAL = 100.0  # gradients of problems near their goal
 # Largest |rho| of the minimiser without orbitopes. With a larger one, as with a weight on length
