@@ -167,6 +167,16 @@ def test_bounds_leave_what_rounding_takes(index):
     assert verified(parsed(text_of(certificate_of(*drawn.case.known, plan.proof)).encode())).holds
 
 
+@pytest.mark.parametrize(
+    ('family', 'seed'),
+    [('hull, arrival', 7101), ('hull, inertia, arrival', 7100), ('acceleration, discs', 7100)],
+)
+def test_a_plan_that_arrives_or_evades_needs_no_search(family, seed):
+    posed = case(family, seed)
+    plan = Solver(posed.problem).solve(posed.state, posed.goals, None, polled(0))
+    assert violations(*posed.known, plan) == []
+
+
 @pytest.mark.parametrize('index', [615, 5965, 21072, 41971])
 def test_a_search_that_finds_nothing_leaves_a_plan_all_the_same(index):
     """Arrivals in a cone of approach, and among bodies, from a search that is stopped early."""

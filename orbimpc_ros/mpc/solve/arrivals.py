@@ -61,14 +61,34 @@ def arc_of(problem: Problem, begun: Begun, towards: Array, speed: float, turn: f
     return Arc(frame, speeds, turns, given)
 
 
+def _asked(problem: Problem, state: State, goals: Array) -> tuple[Array, Array]:
+    """Return an arrival's rows over R_1 e1..R_N e1, shape (m, N), and their values, (m, n)."""
+    rows, (places, velocities) = problem.maps.arrival[:, 1:], decided(problem, state)
+    return rows, np.array([goals[-1] - places[-1], -velocities[-1]][: len(rows)])
+
+
+def least_arriving(problem: Problem, state: State, goals: Array) -> Array:
+    """Return the least headings that arrive, shape (N, n), those beyond full speed cut to it."""
+    rows, wanted = _asked(problem, state, goals)
+    headings, free = np.zeros((problem.horizon, problem.dimension)), rows.any(axis=0)
+    while free.any():
+        missing = wanted - rows[:, ~free] @ headings[~free]
+        headings[free] = np.linalg.pinv(rows[:, free]) @ missing
+        sizes = np.linalg.norm(headings, axis=1)
+        fast = free & (sizes > 1.0)
+        if not fast.any():
+            break
+        headings[fast] /= sizes[fast, None]
+        free &= ~fast
+    return headings
+
+
 def flown(problem: Problem, state: State, goals: Array, arc: Arc) -> Iterator[Array | None]:
     """Yield None before each correction of an arc, and last, if it arrives, headings, (N, n).
 
     Without a terminal constraint they are those of the arc, no slower than the floor.
     """
-    n, rows = problem.dimension, problem.maps.arrival[:, 1:]
-    places, velocities = decided(problem, state)
-    wanted = np.array([goals[-1] - places[-1], -velocities[-1]][: len(rows)])
+    n, (rows, wanted) = problem.dimension, _asked(problem, state, goals)
     scale, best = np.maximum(np.abs(rows).max(axis=1), HEADING_UNDEFINED)[:, None], math.inf
     for _ in range(CORRECTIONS):
         frames = np.array([*accumulate([arc.frame, *exps(arc.turns)], np.matmul)][1:])

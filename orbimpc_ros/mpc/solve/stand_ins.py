@@ -17,8 +17,9 @@ from orbimpc_ros.mpc.model.dynamics import adrift
 from orbimpc_ros.mpc.plan import UNPROVED, assemble
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.cones import climb
+from orbimpc_ros.mpc.problem.reach import entry_speed, moved_towards
 from orbimpc_ros.mpc.problem.traffic import escapes, traffic_of, ways_out
-from orbimpc_ros.mpc.solve.arrivals import WITHIN, Begun, arc_of, flown
+from orbimpc_ros.mpc.solve.arrivals import WITHIN, Begun, arc_of, flown, least_arriving
 from orbimpc_ros.mpc.solve.request import Request
 
 # [rad] turned over the horizon, positive towards the goal; clipped to the widest turns.
@@ -29,27 +30,33 @@ LATE, EACH = 8, 4  # corrections of an arc after the deadline; a trajectory take
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     """Yield coordinates of R_1..R_N, shape (N, d), that go straight on, and straight to the goal.
 
-    Straight on at the present speed, at the least speed of the floor, and at full speed; to the
-    goal after a turn at ``max_rate``. With a tilt or glide slope also straight up, which the relief
-    of these cones for states outside of them allows.
+    Straight on at the present speed, at the least speed of the floor, and at full speed; with a
+    terminal constraint the least headings that arrive; to the goal after a turn at ``max_rate``.
+    With a tilt or glide slope also straight up, which the relief of these cones for states outside
+    of them allows.
 
     Args:
         problem: what to solve.
         state: initial state.
         goals: g_1..g_N, shape (N, n) [m].
     """
-    begun = ahead, first = _begun(problem, state)
+    ahead, first = _begun(problem, state)
     least = float(problem.floor.least(ahead[:, 0]))
     present = float(np.linalg.norm(state.rotation[:, 0]))
-    shares = dict.fromkeys((max(present, least), least, 1.0))
-    for each in [share * ahead for share in shares] if first is None else [first]:
-        yield coordinates(np.tile(each, (problem.horizon, 1, 1)))
+    if first is None:
+        for share in dict.fromkeys((max(present, least), least, 1.0)):
+            yield _along(problem, state, np.tile(share * ahead[:, 0], (problem.horizon, 1)))
+    else:
+        yield coordinates(np.tile(first, (problem.horizon, 1, 1)))
+    if problem.terminal == 'constraint' and first is None:
+        yield _along(problem, state, least_arriving(problem, state, goals))
     towards = goals[-1] - adrift(problem, state)
     distance = float(np.linalg.norm(towards))
     if distance > 0.0:
-        yield _along(begun, escapes(problem, state, towards[None] / distance)[0, 1:])
+        there = escapes(problem, state, towards[None] / distance)[0, 1:]
+        yield _along(problem, state, there)
     if problem.has_cones:
-        yield _along(begun, climb(problem, state, goals)[1:])
+        yield _along(problem, state, climb(problem, state, goals)[1:])
 
 
 def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | None]:
@@ -67,7 +74,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
     begun = ahead, _ = _begun(problem, state)
     traffic = traffic_of(problem, state) if state.hazards else None
     for headings in () if traffic is None else ways_out(problem, state, traffic):
-        yield _along(begun, headings[1:])
+        yield _along(problem, state, headings[1:])
     least = min(1.0, float(problem.floor.least(ahead[:, 0])))
     arrives = problem.terminal == 'constraint'
     speeds = dict.fromkeys((0.5 * (1.0 + least) if arrives else least, 1.0))
@@ -78,7 +85,7 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
         for speed in speeds:
             arc = arc_of(problem, begun, towards, speed, turn)
             for met in flown(problem, state, goals, arc):
-                yield None if met is None else _along(begun, met)
+                yield None if met is None else _along(problem, state, met)
 
 
 def sound(
@@ -121,9 +128,18 @@ def _begun(problem: Problem, state: State) -> Begun:
     return state.attitude, state.rotation + problem.step * state.rotation_rate
 
 
-def _along(begun: Begun, headings: Array) -> Array:
-    """Return the coordinates of rotations turned onto headings, shape (N, n), but a given R_1."""
-    ahead, first = begun
+def _along(problem: Problem, state: State, headings: Array) -> Array:
+    """Return the coordinates of rotations turned onto headings, shape (N, n), but a given R_1.
+
+    Speeds change from the entry speed on as fast as ``max_acceleration`` allows.
+    """
+    ahead, first = _begun(problem, state)
+    if problem.max_acceleration:
+        headings, speed = headings.copy(), entry_speed(problem, state)
+        for heading in headings:
+            size = float(np.linalg.norm(heading))
+            speed = moved_towards(problem, speed, size)
+            heading[:] = speed * (heading / size if size else ahead[:, 0])
     rotations = carried(ahead, headings)
     if first is not None:
         rotations[0] = first
