@@ -451,10 +451,11 @@ class Statement:
 
     def _beside(self, origin: Rows, bodies: Sequence[Body], start: Rows) -> Bodies:
         n, count, degree = self.problem.dimension, self.problem.horizon, self._motion.degree
-        boxes = [(each.shape, isinstance(each.shape, Box)) for each in bodies]
-        low = self._rows([b.minimum if box else b.centre for b, box in boxes]).reshape(-1, n)
-        high = self._rows([b.maximum if box else b.centre for b, box in boxes]).reshape(-1, n)
-        radii = self._rows([0.0 if box else b.radius for b, box in boxes]).reshape(-1, 1)
+        shapes = [each.shape for each in bodies]
+        low = self._rows([b.minimum if isinstance(b, Box) else b.centre for b in shapes])
+        high = self._rows([b.maximum if isinstance(b, Box) else b.centre for b in shapes])
+        radii = self._rows([b.radius if isinstance(b, Ball) else 0.0 for b in shapes])
+        low, high, radii = low.reshape(-1, n), high.reshape(-1, n), radii.reshape(-1, 1)
         extents = np.concatenate([0 * low, high - low, radii], axis=1)
         shifts = self._rows([each.shifts for each in bodies]).reshape(-1, count + 1, n)
         at = rows_of(tuple(each.of for each in bodies), count, degree)
