@@ -80,19 +80,11 @@ def _part(function: Callable) -> Callable:
     return compiled(_bound_to_floats(function), error_model='python')
 
 
-def _root(x):
-    return math.sqrt(x) if x > 0.0 else 0.0
-
-
 def _root_above(x: Fraction) -> Fraction:
     if not x > 0:
         return x * 0
     places = _places(x)
     return Fraction(math.isqrt((x.numerator << 2 * places) // x.denominator) + 1, 1 << places)
-
-
-def _cosine_and_sine(angle):
-    return math.cos(angle), math.sin(angle)
 
 
 @lru_cache(maxsize=65536)
@@ -113,14 +105,6 @@ def _series(term: int, k: int, square: int) -> int:
     return total
 
 
-def _slack(size):
-    return FLOATS * size
-
-
-def _same(x):
-    return x
-
-
 def _places(x: Fraction) -> int:
     return BITS + max(0, x.denominator.bit_length() - x.numerator.bit_length())
 
@@ -130,10 +114,14 @@ def _coarse(x: Fraction) -> Fraction:
     return Fraction((x.numerator << places) // x.denominator, 1 << places)
 
 
-slack = by_type(_slack, FRACTIONS.__mul__)  # largest rounding error of sums, from their terms' size
-root = by_type(_root, _root_above)  # a square root, rounded up in fractions; 0 for negative numbers
-direction = by_type(_cosine_and_sine, _direction)  # cosine and sine of an angle
-coarse = by_type(_same, _coarse)  # fewer digits, with an error far below the slack
+# The largest rounding error of sums, from the size of their terms.
+slack = by_type(lambda size: FLOATS * size, FRACTIONS.__mul__)
+# A square root, rounded up in fractions; 0 for negative numbers.
+root = by_type(lambda x: math.sqrt(x) if x > 0.0 else 0.0, _root_above)
+# The cosine and the sine of an angle.
+direction = by_type(lambda angle: (math.cos(angle), math.sin(angle)), _direction)
+# A number with fewer digits, and with an error far below the slack.
+coarse = by_type(lambda x: x, _coarse)
 
 
 def as_fractions(array: np.ndarray) -> np.ndarray:
