@@ -311,27 +311,24 @@ class Statement:
         plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
         if plain and not (problem.obstacles or state.hazards):
             return NO_LIMITS
-        cones, slope = list[Cone](), 0.0
-        eased: Array = NOTHING
+        cones, eased = list[Cone](), NOTHING
         if problem.has_cones:
-            outside = relief(problem, state, goals)
+            tilted, eased = relief(problem, state, goals)
             if problem.tilt:
-                steps = (1 + np.flatnonzero(outside.tilt == 0.0)).tolist()
+                steps = (1 + np.flatnonzero(tilted == 0.0)).tolist()
                 cones.append(Cone(UP, problem.tilt, 0.0, steps))
-            if problem.glide_slope:
-                slope, eased = problem.glide_slope, outside.slope
         if problem.approach.exists:
             axis, wide = problem.approach.axis(state), problem.approach.cone + LEEWAY
             cones.append(Cone(axis.tolist(), wide, problem.least_heading, [problem.horizon]))
-        entry, change = 0.0, math.inf
-        if problem.max_acceleration and problem.rotation_order == 1:
-            entry, change = entry_speed(problem, state), problem.speed_change
+        paced = problem.max_acceleration > 0.0 and problem.rotation_order == 1
+        entry = entry_speed(problem, state) if paced else 0.0
+        change = problem.speed_change if paced else math.inf
         met = traffic_of(problem, state)
         # The end of a step alone is bounded more tightly than the hull of its control points.
         tracks = zip(met.bodies, met.shifts, met.grown, strict=True) if met else ()
         moving = (Body(each, of, *how) for each, *how in tracks for of in (END, STEP))
         bodies = self.boxes + tuple(moving)
-        return Limits(tuple(cones), slope, eased, bodies, entry, change)
+        return Limits(tuple(cones), problem.glide_slope, eased, bodies, entry, change)
 
     def of(self, state: State, aims: Array, limits: Limits) -> Stated:
         """Return the problem from a state.
