@@ -40,8 +40,8 @@ FORMAT = 'orbimpc certificate 2'
 RELATIVE = Fraction(1, 10**9)  # by which a published bound may exceed the proved one
 MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', 'horizon', 'step',
          'forward', 'terminal', 'max_rate')  # fmt: skip
-MAYBE = ('coasted', 'wanted')
-STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude', *MAYBE)
+STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude')
+MAYBE = ('coasted', 'wanted')  # of the state, or null
 EACH, TERM, PLACE = 100, 12, 60  # [us] of work per number of a leaf, term of a Hessian, place
 LEAST_WORK, WORK = 2_000_000, 40  # [us] allowed in any case, and per character of a document
 WORD = 'not proved: claimed by the method only'
@@ -271,7 +271,7 @@ def statement(problem: Problem, state: State, goals: Array) -> Document:
     made['weights']['arrival'] = float(problem.arrival_weight)
     told = {name: getattr(floor, name) for name in floor.parameters}
     made['floor'] = {'shape': floor.shape, **told}
-    values = {name: getattr(state, name) for name in STATE}
+    values = {name: getattr(state, name) for name in STATE + MAYBE}
     known = {name: None if value is None else value.tolist() for name, value in values.items()}
     limits = _plain_limits(Statement(problem).limits(state, goals))
     found = {'problem': made, 'state': known, 'goals': goals.tolist()}
@@ -290,12 +290,11 @@ def _plain_limits(limits: Limits) -> dict[str, Any]:
 
 
 def _plain_body(body: Body) -> dict[str, Any]:
-    shape, made = body.shape, dict[str, Any]()
+    shape, made = body.shape, dict[str, Any](of=body.of)
     if isinstance(shape, Ball):
         made |= {'centre': shape.centre.tolist(), 'radius': shape.radius}
     else:
         made |= {'min': shape.minimum.tolist(), 'max': shape.maximum.tolist()}
-    made['of'] = body.of
     if body.shifts.any() or body.grown.any():
         made |= {'shifts': body.shifts.tolist(), 'grown': body.grown.tolist()}
     return made
@@ -314,11 +313,10 @@ def _posed(document: Any) -> Posed:
     known = {name: stated[name] for name in MODEL}
     problem = Problem(**known, weights=Weights(**weights), floor=Floor(**floor), **more)
     n, count = problem.dimension, problem.horizon
-    given = dict(fields_of(document['state'], 'state', STATE))
+    given = dict(fields_of(document['state'], 'state', STATE + MAYBE))
+    for name in STATE:
+        numbers_of(given[name], f'state.{name}')
     given['position'] = frozen(given['position'], (n,), 'state.position')
-    for name in STATE[1:]:
-        if name not in MAYBE or given[name] is not None:
-            numbers_of(given[name], f'state.{name}')
     state, goals = State.at(**given), frozen(document['goals'], (count, n), 'goals')
     if state.wanted is None and problem.weights.attitude:
         raise BadInput('state.wanted', None, 'a rotation')
@@ -367,9 +365,9 @@ def _body(stated: Any, n: int, count: int) -> Body:
         raise BadInput('body', stated, f'a body of dimension {n}')
     if stated['of'] not in PARTS:
         raise BadInput.choice('body.of', stated['of'], PARTS)
-    still = {'shifts': np.zeros((count + 1, n)).tolist(), 'grown': [0.0] * count, **stated}
-    shifts = frozen(still['shifts'], (count + 1, n), 'body.shifts')
-    return Body(shape, still['of'], shifts, frozen(still['grown'], (count,), 'body.grown'))
+    shifts = frozen(stated.get('shifts', np.zeros((count + 1, n))), (count + 1, n), 'body.shifts')
+    grown = frozen(stated.get('grown', np.zeros(count)), (count,), 'body.grown')
+    return Body(shape, stated['of'], shifts, grown)
 
 
 def _items(value: Any, name: str) -> list[Any]:
