@@ -315,7 +315,7 @@ class Part:
         self.n, self.count = problem.dimension, problem.horizon
         choices = (2 + len(posed.limits.bodies)) * self.count
         self.region = region_of(DEEP, choices, self.n, object)
-        self.work = work_of(problem, self.stated.width, object)
+        self.work, self.width = work_of(self.stated, object), self.stated.start.shape[1]
         self.depth, self.cuts = 0, list[tuple[list[int], float, int]]()
         begun = begin(self.stated, np.zeros(0), self.region.part[0], self.region.span[0])
         assert begun == HELD, 'a flight is left out from the beginning'
@@ -436,14 +436,14 @@ class Part:
     def leaf(self, empty: bool) -> ProofTree:
         """Return a leaf with random multipliers of random magnitude."""
         rng, count, n, stated = self.rng, self.count, self.n, self.stated
-        point, shor = np.zeros((count, stated.width)), np.zeros(count)
+        point, shor = np.zeros((count, self.width)), np.zeros(count)
 
         def some(*shape: int) -> np.ndarray:
             few = rng.random(shape[:1] + (1,) * (len(shape) - 1)) < 0.6
             return np.asarray(10.0 ** rng.uniform(-3, 3) * few * rng.normal(size=shape))
 
         if not empty and _sometimes(rng, 0.8):
-            x = [coordinates(each)[: stated.width] for each in self.drawn.plan.rotations[1:]]
+            x = [coordinates(each)[: self.width] for each in self.drawn.plan.rotations[1:]]
             off = rng.choice([0.0, 1e-4, 1e-2, 1.0]) * rng.normal(size=point.shape)
             point = np.array(x) + off if not _sometimes(rng, 0.1) else off
         if not empty and _sometimes(rng, 0.3):

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.arithmetic import as_fractions, coarse, generic, slack
 from orbimpc_ros.mpc.proof.flight import DECIDED, FIRST, WANTED, pulled_back, rolled
 from orbimpc_ros.mpc.proof.rows import counted, pressed, pulled, slid, towed
@@ -419,9 +418,9 @@ def _is_convex(m, margin):
     return True
 
 
-def work_of(problem: Problem, width: int, kind: Any) -> Work:
-    """Return the work arrays for the bounds of leaves."""
-    count, n = problem.horizon, problem.dimension
+def work_of(stated: Any, kind: Any) -> Work:
+    """Return the work arrays for the bounds of leaves of a problem."""
+    count, n, width = len(stated.goals), stated.n, stated.start.shape[1]
 
     def zeros(*shape: int) -> Any:
         return np.zeros(shape, kind)
@@ -430,6 +429,5 @@ def work_of(problem: Problem, width: int, kind: Any) -> Work:
     square, path = zeros(count, count), zeros(4, count + 1, count)
     units = Units(zeros(6, count), zeros(count, count), one, path, square)
     flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
-    squares, ends = zeros(count + 2, count), zeros(count, 2, 5)
-    matrix, total = zeros(4, 4), zeros(2)
-    return Work(flown, slopes, total, vectors, matrix, squares, ends, zeros(count), units)
+    matrix, squares, ends = zeros(4, 4), zeros(count + 2, count), zeros(count, 2, 5)
+    return Work(flown, slopes, zeros(2), vectors, matrix, squares, ends, zeros(count), units)

@@ -134,12 +134,11 @@ class Stated(NamedTuple):
 
     Attributes:
         n: dimension.
-        width: d, number of coordinates of a rotation in the cost.
         order: of rotation.
         full: a turn, rounded up [rad].
         narrow: a negligible angle [rad].
         motion: of a step.
-        start: its rows, shape (6, d).
+        start: its rows, of the d coordinates of a rotation in the cost, shape (6, d).
         goals: g_1..g_N relative to s_0, and in the last column the relaxation of the glide slope,
             shape (N, n + 1).
         weights: of |s_k - g_k|^2 (the first is unused), and of |z_k|, shape (2, N + 1).
@@ -174,7 +173,6 @@ class Stated(NamedTuple):
     """
 
     n: int
-    width: int
     order: int
     full: Number
     narrow: Number
@@ -226,7 +224,7 @@ class Statement:
     def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
         self.problem, self._number = problem, number
         w, plane, late = problem.weights, problem.dimension == 2, problem.rotation_order == 2
-        self.width = 2 if plane else 9 if w.input or w.attitude or late else 3
+        self._width = 2 if plane else 9 if w.input or w.attitude or late else 3
         self._motion = self._moved()
         self._caps = [cap(problem.tilt)] if 0.0 < problem.tilt <= STEEPEST_CAP else []
         free = not (late or problem.max_rate or problem.inertial or w.position or w.input)
@@ -261,10 +259,9 @@ class Statement:
         if share:
             outward = np.array([direction(i * share) for i in range(faces)])
         patches = [icosahedron(), *self._caps] if n == 3 else [np.zeros((0, 3, 3))]
-        still = self._rows(np.zeros((6, self.width)))
+        still = self._rows(np.zeros((6, self._width)))
         return Stated(
             n=n,
-            width=self.width,
             order=problem.rotation_order,
             full=TURN[number],
             narrow=number(NARROW),
@@ -359,7 +356,7 @@ class Statement:
 
     def _begun(self, state: State) -> Rows:
         """Return the rows of a start; rotations column by column."""
-        problem, n, d = self.problem, self.problem.dimension, self.width
+        problem, n, d = self.problem, self.problem.dimension, self._width
         known, begun = np.zeros((6, d)), state.coasted
         known[VELOCITY, :n], known[WIND, :n] = state.velocity, state.disturbance
         known[FIRST] = known[TIED] = state.rotation.T.ravel()[:d]

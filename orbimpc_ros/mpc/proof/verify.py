@@ -50,18 +50,17 @@ class Verifier:
         self._statement, self._exact = Statement(problem, number), number is Fraction
         self._kind: type = object if self._exact else float
         self._bound = tree_bound if self._exact else _bound
-        self._work = work_of(problem, self._statement.width, self._kind)
-        self._region = region_of(DEPTHS, 2 * problem.horizon, problem.dimension, self._kind)
         known = self._statement.known
-        self._sizes = {'N': len(known.goals), 'n': known.n, 'd': known.width, 'm': known.arrives}
-        self._sizes |= {'3': 3, '5': 5}
+        n, count, width = known.n, len(known.goals), known.start.shape[1]
+        self._work = work_of(known, self._kind)
+        self._region = region_of(DEPTHS, 2 * count, n, self._kind)
+        self._sizes = {'N': count, 'n': n, 'd': width, 'm': known.arrives, '3': 3, '5': 5}
         self._inner = [tuple(self._sizes[axis] for axis in axes[1:]) for axes in AXES]
         if COMPILED and not self._exact:
             if bare(_bound) is _bound:  # load machine code at start-up, not in a tick
-                n, count = problem.dimension, problem.horizon
-                start, leaf = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
-                still = one(np.zeros((count, self._statement.width)), leaf)
-                self.bound(start, np.zeros((count, n)), still, limits=NO_LIMITS)
+                start, still = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
+                leaf = one(np.zeros((count, width)), still)
+                self.bound(start, np.zeros((count, n)), leaf, limits=NO_LIMITS)
             self._bound = bare(_bound)
 
     def bound(

@@ -71,7 +71,7 @@ def _leaf(posed: Posed) -> ProofTree:
     """Return a tree of one leaf, which is a proof if full speed does not reach the goal."""
     stated = Statement(posed.problem).of(posed.state, posed.goals, posed.limits)
     count, n, start = posed.problem.horizon, stated.n, stated.start[:, : stated.n]
-    point = np.zeros((count, stated.width))
+    point = np.zeros((count, stated.start.shape[1]))
     off = flown_by(stated.motion, start, point[:, :n])[0, -1] - stated.goals[-1, :n]
     away = off / max(float(np.linalg.norm(off)), 1e-300)
     reach = flown_by(stated.motion, np.zeros((6, count)), np.eye(count))[0, -1]
