@@ -36,15 +36,13 @@ class Units(NamedTuple):
     Their slopes are the Hessian of the cost, and the ends of their paths the rows of an arrival.
 
     Attributes:
-        start: zeros, shape (6, N).
-        goals: zeros, shape (N, N).
+        nothing: zeros for start and goals, shape (6 + N, N).
         point: ones on the diagonal, shape (N, N).
         flown: shape (4, N + 1, N).
         slopes: shape (N, N).
     """
 
-    start: Any
-    goals: Any
+    nothing: Any
     point: Any
     flown: Any
     slopes: Any
@@ -348,7 +346,8 @@ def _is_bound(stated, shor, point, work):
     if _is_within(shor, work.convex):
         return True
     if units.slopes[0, 0] == 0:  # not set yet: its columns are the gradients at unit headings
-        _at_point(stated, units.start, units.goals, units.point, units.flown, units.slopes)
+        nothing = units.nothing
+        _at_point(stated, nothing, nothing, units.point, units.flown, units.slopes)
         pulled_back(stated.motion, units.flown, units.slopes)
     count, m, top, longest = len(shor), work.squares[: len(shor)], zero, zero + 1
     for k in range(count):
@@ -426,8 +425,7 @@ def work_of(stated: Any, kind: Any) -> Work:
         return np.zeros(shape, kind)
 
     one = as_fractions(np.eye(count)) if kind is object else np.eye(count)
-    square, path = zeros(count, count), zeros(4, count + 1, count)
-    units = Units(zeros(6, count), zeros(count, count), one, path, square)
+    units = Units(zeros(6 + count, count), one, zeros(4, count + 1, count), zeros(count, count))
     flown, slopes, vectors = zeros(4, count + 1, n), zeros(count, width), zeros(2, width)
     matrix, squares, ends = zeros(4, 4), zeros(count + 2, count), zeros(count, 2, 5)
     return Work(flown, slopes, zeros(2), vectors, matrix, squares, ends, zeros(count), units)
