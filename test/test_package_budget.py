@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_409,
-    'orbimpc_ros/mpc': 14_719,
+    'orbimpc_ros': 28_385,
+    'orbimpc_ros/mpc': 14_695,
     'orbimpc_ros/loop': 3_258,
     'orbimpc_ros/ros': 4_051,
     'orbimpc_ros/sim': 2_200,
