@@ -244,7 +244,7 @@ class SimSettings(VehicleParameters):
             raise BadInput('traffic', list(numbers), f'{2 * n + 1} numbers for each ball')
         found = []
         for row in np.reshape(numbers, (-1, 2 * n + 1)).astype(float):
-            ball = Ball(row[:n], number(row[-1], 'traffic radius', 0.0, above=True))
+            ball = Ball(row[:n], number(float(row[-1]), 'traffic radius', 0.0, above=True))
             found.append(MovingObstacle.drifting(ball, row[n:-1]))
         return tuple(found)
 
