@@ -9,7 +9,6 @@ of arrival, so that a recording gives the same results without tf2's buffer, whi
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -78,12 +77,12 @@ def stated(lines: Iterable[str]) -> dict[str, Edge]:
     """
     found: dict[str, Edge] = {}
     for line in lines:
-        parent, child, *rest = line.split() if len(line.split()) == 8 else ['', '']
         try:
-            numbers = np.array([float(each) for each in rest])
-        except ValueError:
-            numbers = np.array([math.nan])
-        if parent == child or not np.isfinite(numbers).all():
+            parent, child, *words = line.split()
+            numbers = np.array(words, dtype=float)
+        except ValueError:  # too few words, or none of a number
+            raise BadInput('transforms', line, FORM) from None
+        if parent == child or numbers.shape != (6,) or not np.isfinite(numbers).all():
             raise BadInput('transforms', line, FORM)
         if child in found:
             raise BadInput('transforms', line, f'one parent of {child}')

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 from orbimpc_ros.loop.compensation import DISTURBANCES, ESTIMATED, GIVEN, Response
 from orbimpc_ros.loop.fallback import SAFE_COMMANDS, decided
@@ -29,10 +30,6 @@ from orbimpc_ros.ros.parameters.spec import (
 from orbimpc_ros.ros.transforms import Edge, stated
 
 PROJECTIONS = ('nearest', 'thrust_aligned')
-OF_PROBLEM = (
-    *('dimension', 'rotation_order', 'translation_order', 'horizon', 'step', 'forward', 'terminal'),
-    *('max_rate', 'max_acceleration', 'no_corner_cutting', 'discretisation', 'tilt', 'glide_slope'),
-)
 ROUNDING = 1e-5  # in units of a step's length: above the tolerance of checked plans
 
 
@@ -166,13 +163,14 @@ class PlannerSettings(VehicleParameters):
     def problem(self) -> Problem:
         """Return the problem to solve."""
         parts = ('position', 'input', 'length', 'terminal', 'attitude')
-        problem = Problem(
-            **{name: getattr(self, name) for name in OF_PROBLEM},
-            weights=Weights(*(getattr(self, f'weights_{part}') for part in parts)),
-            floor=Floor(self.floor_shape, self.floor_faces, self.floor_fraction),
-            obstacles=self.boxes,
-        )
-        return weighed(problem, self.weights_scaling)
+        own = {
+            'weights': Weights(*(getattr(self, f'weights_{part}') for part in parts)),
+            'floor': Floor(self.floor_shape, self.floor_faces, self.floor_fraction),
+            'obstacles': self.boxes,
+        }
+        names = {each.name for each in fields(Problem)} & {each.name for each in fields(self)}
+        known: dict[str, Any] = {name: getattr(self, name) for name in names}
+        return weighed(Problem(**known | own), self.weights_scaling)
 
     @cached_property
     def period(self) -> float:

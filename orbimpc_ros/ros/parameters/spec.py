@@ -12,7 +12,7 @@ import math
 import re
 import sys
 from array import array
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib import import_module
@@ -227,21 +227,18 @@ def given_sections() -> list[tuple[str, str]]:
     return found
 
 
-def sections(tree: Any, file: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return sections, possibly nested by namespace: names with a leading slash, and values."""
-    found = list(_sections(tree))
-    if found or tree == {}:
-        return found
-    needed = 'sections such as "/**: {ros__parameters: {step: 0.5}}" are needed'
-    raise BadInput.stating(file, 'not a parameter file', needed)
-
-
-def _sections(tree: Any, above: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
+def sections(tree: Any, file: str, above: str = '') -> list[tuple[str, dict[str, Any]]]:
+    """Return sections, nested by namespace ``above``: names with a leading slash, and values."""
+    found = list[tuple[str, dict[str, Any]]]()
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name != PARAMETERS:
-            yield from _sections(below, f'{above}/{str(name).strip("/")}')
+            found += sections(below, file, f'{above}/{str(name).strip("/")}')
         elif above and isinstance(below, dict):
-            yield above, below
+            found.append((above, below))
+    if not (found or above or tree == {}):
+        needed = 'sections such as "/**: {ros__parameters: {step: 0.5}}" are needed'
+        raise BadInput.stating(file, 'not a parameter file', needed)
+    return found
 
 
 # --- parameters of both nodes
