@@ -160,9 +160,10 @@ class Inputs:
         except BadInput as error:
             self.refused[f'{topic}: {error.culprit}'] += 1
             return f'{self._named(topic)} refused: {error}'
-        for topic, stamp in self.stamps(*self._shared).items():
-            if stamp == self._time:
-                self._shared[topic][-1:] = [True]
+        latest, at = self.latest, self._time
+        for topic, shared in self._shared.items():
+            if topic in latest and latest[topic].stamp.nanoseconds == at:
+                shared[-1:] = [True]
         return odd
 
     def _take(self, topic: str, message: Any, now: float, ros: int | None) -> None:
