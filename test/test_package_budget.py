@@ -8,7 +8,7 @@ LINES = {
     'orbimpc_ros': 28_385,
     'orbimpc_ros/mpc': 14_695,
     'orbimpc_ros/loop': 3_258,
-    'orbimpc_ros/ros': 4_051,
+    'orbimpc_ros/ros': 4_046,
     'orbimpc_ros/sim': 2_200,
     'orbimpc_ros/tool': 4_054,
     'benchmarks': 3_351,
