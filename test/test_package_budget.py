@@ -5,7 +5,7 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_385,
+    'orbimpc_ros': 28_380,
     'orbimpc_ros/mpc': 14_695,
     'orbimpc_ros/loop': 3_258,
     'orbimpc_ros/ros': 4_046,
