@@ -90,15 +90,15 @@ class CommandHistory:
     Attributes:
         lag: of the vehicle's speed or thrust behind commands [s].
         last: the last command, sent or about to be; None before the first.
-        sent: recent commands with known times [s].
+        sent: recent commands with known times [s], and the share of full speed or thrust then.
         due: the command of the step that begins, of a vehicle with lags; None if it is the last.
-        begun: share of full speed or thrust before the oldest of the ``sent`` ones.
+        begun: share of full speed or thrust before the first of the ``sent`` ones.
     """
 
     def __init__(self, lag: float = 0.0) -> None:
         self.lag, self.begun = lag, 0.0
         self.last: Command | None = None
-        self.sent: deque[tuple[float, Command]] = deque(maxlen=MEMORY)
+        self.sent: deque[tuple[float, Command, float]] = deque(maxlen=MEMORY)
         self.due: Command | None = None
 
     @property
@@ -118,11 +118,9 @@ class CommandHistory:
         """
         if not self.sent:
             return self.begun if self.last is None else self.fraction
-        reached = self.begun
-        for interval in self.intervals(self.sent[0][0], time):
-            assert interval.command is not None
-            wanted = interval.command.speed_fraction
-            reached, _ = followed(reached, wanted, interval.duration, self.lag)
+        for at, command, reached in reversed(self.sent):
+            if at < time:
+                return followed(reached, command.speed_fraction, time - at, self.lag)[0]
         return reached
 
     def mean(self, begin: float, end: float) -> float | None:
@@ -131,23 +129,20 @@ class CommandHistory:
         Without a lag, the speed or thrust of a command takes effect when the next command comes.
         """
         flown, reached = 0.0, self.applied(begin)
-        for interval in self.intervals(begin, end):
-            given = interval.command if self.lag else interval.before
+        for time, command, before in self.intervals(begin, end):
+            given = command if self.lag else before
             if given is None:
                 return None
-            wanted, time = given.speed_fraction, interval.duration
-            reached, covered = followed(reached, wanted, time, self.lag)
+            reached, covered = followed(reached, given.speed_fraction, time, self.lag)
             flown += covered
         return flown / (end - begin)
 
     def add(self, command: Command, at: float | None = None) -> None:
         """Record a command, with its time [s] if that is known; times must not decrease."""
         self.last = command
-        if at is None:
-            return
-        if len(self.sent) == MEMORY:
-            self.begun = self.applied(self.sent[1][0])
-        self.sent.append((at, command))
+        if at is not None:
+            reached = self.applied(at) if self.sent else self.begun
+            self.sent.append((at, command, reached))
 
     def forget(self) -> None:
         """Forget all but the last command, for instance because the clock jumped."""
@@ -157,7 +152,7 @@ class CommandHistory:
     def intervals(self, begin: float, end: float) -> list[Interval]:
         """Return the commands in force from ``begin`` to ``end`` [s]; empty unless begin < end."""
         found, before, command, since = [], None, None, begin
-        for at, following in self.sent:
+        for at, following, _ in self.sent:
             if since < at < end:
                 found.append(Interval(at - since, command, before))
                 since = at

@@ -228,10 +228,8 @@ class Interception:
         best, bound, counted = self._in_view(query)
         lost = best.miss <= self._near and 0 < query.expected <= self._horizon
         if best.miss > self._radius and not lost:
-            rest, kept = held or self._held(query)
+            kept = held or self._held(query)
             best = self._sooner(query, kept) if kept.plan else self._beyond(query)
-            if best.plan is None and rest.miss <= self._near:
-                best = rest
         if best.end == int(best.end) and self._is_well(best):
             best = self._bisected(query, best.end - 1.0, best, self._finest)
         if self._centred and self._is_well(best):
@@ -281,32 +279,25 @@ class Interception:
                 break
         return best, bound, counted
 
-    def _flown_on(self, query: InterceptQuery) -> _Attempt:
-        """Return the attempt of flying the remainder of the previous plan to its end."""
-        end = query.expected
-        if not (0.0 < end <= self._last(query) and self._may(query, end)):
-            return MISSED
-        goals = self._goals(query, end)
-        task = replace(query.task, problem=self.problem(end), goals=sealed(goals))
-        plan = task.rest
-        if plan is None or not holds(*task.known, plan) or _turns_too_far(plan, end):
-            return MISSED
-        answer = plan, Status.FEASIBLE, 'the previous plan to the catch is continued'
-        miss = float(np.linalg.norm(self._off(query, end, plan, goals)))
-        return _Attempt((task, answer), end, miss)
+    def _held(self, query: InterceptQuery) -> _Attempt:
+        """Return the attempt of keeping to the planned catch; :data:`MISSED` if it is lost.
 
-    def _held(self, query: InterceptQuery) -> tuple[_Attempt, _Attempt]:
-        """Return the attempts of flying the previous plan on, and of the catch to keep.
-
-        Both are the same unless that misses past the horizon: then a new plan for about its time.
+        The remainder of the previous plan is flown to its end. If it misses past the horizon, a new
+        plan for about that time is tried first.
         """
-        rest = self._flown_on(query)
-        if rest.miss <= self._radius:
-            return rest, rest
-        end = _coarsely(query.expected)
-        beyond = self._horizon < end <= self._last(query)
-        anew = self._surely(query, end) if beyond else MISSED
-        return rest, anew if anew.plan is not None or rest.miss > self._near else rest
+        rest, end = MISSED, query.expected
+        if 0.0 < end <= self._last(query) and self._may(query, end):
+            goals = self._goals(query, end)
+            task = replace(query.task, problem=self.problem(end), goals=sealed(goals))
+            plan = task.rest
+            if plan is not None and holds(*task.known, plan) and not _turns_too_far(plan, end):
+                answer = plan, Status.FEASIBLE, 'the previous plan to the catch is continued'
+                miss = float(np.linalg.norm(self._off(query, end, plan, goals)))
+                rest = _Attempt((task, answer), end, miss)
+        if rest.miss > self._radius and self._horizon < _coarsely(end) <= self._last(query):
+            anew = self._surely(query, _coarsely(end))
+            rest = anew if anew.plan else rest
+        return rest if rest.miss <= self._near else MISSED
 
     def _beyond(self, query: InterceptQuery) -> _Attempt:
         """Try to catch the goal past the horizon.

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -188,19 +188,22 @@ class Fits:
     def __init__(self, epoch: float, origin: Array, noise: Noise = UNKNOWN) -> None:
         self.epoch, self.origin, self._prior = epoch, origin, noise
         self._n = n = len(origin)
-        self._used, self._precision, self._jacobian = layout(n)
-        size, rows = self._used.shape
+        self._used, self._precision, _ = layout(n)
+        size = len(NAMES)
         self._rounds = self._searched = 0
+        self._searches = (
+            self._begin_search,
+            partial(self._seek, SWING, FIXED),
+            partial(self._seek, CARRIER, DRIFTING),
+            partial(self._restart, DAMPED),
+            partial(self._restart, TURN),
+        )
         # Whether a family has no frequency, or has moved since it was placed: evidence covers it.
         self._weighed = ~np.isin(np.arange(size), OSCILLATING)
         self._rates = np.zeros(size)  # angular frequencies [rad/s]; 0 if there is none yet
         self._dampings = np.zeros(size)  # [1/s]
         self._coefficients = np.zeros((size, COLUMNS, n))  # linearisation points
         self._times, self._seen, self.count = np.zeros(MEMORY), np.zeros((MEMORY, n)), 0
-        self._step, self._root = np.zeros((size, rows)), np.zeros((size, rows, rows))
-        self._gain = np.zeros(size)  # of the misfit by the latest step, in units of the noise
-        self._misfit = np.zeros(size)  # squared residuals, including prior terms [m^2]
-        self._noises = self.shares = np.zeros(size)  # variance of sightings [m^2]
         self.evidence, self.noise = np.full(MEMORY + 1, -np.inf), [noise] * (MEMORY + 1)
 
     def rows(self, times: Array) -> Array:
@@ -234,11 +237,12 @@ class Fits:
         self._rates[family], self._dampings[family] = rate, damping
         self._coefficients[family], self._weighed[family] = coefficients, weighed
 
-    def _moved(self, family: int) -> tuple[int, float, Array, float, bool]:
-        """Return where to ``place`` a family after a Gauss-Newton step.
+    def _moves(self, *families: int) -> list[tuple[int, float, Array, float, bool]]:
+        """Return where to ``place`` those of the families that gain by a Gauss-Newton step."""
+        return [self._moved(each) for each in families if self._gain[each] > WORTHWHILE]
 
-        The step is shortened to where linearity holds.
-        """
+    def _moved(self, family: int) -> tuple[int, float, Array, float, bool]:
+        """Return where a step places a family, shortened to where linearity holds."""
         n, step, times = self._n, self._step[family], self.past[0]
         span = float(times[-1] - times[0]) or 1.0
         rim = np.abs(step[2 * n : 3 * n + 1]).max() if family == TURN else 0.0
@@ -272,7 +276,7 @@ class Fits:
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
         times, seen = self.past
-        n, (size, rows), (share, scale) = self._n, self._step.shape, self._prior
+        n, (size, rows), (share, scale) = self._n, self._used.shape, self._prior
         known = self._precisions()
         free, pull = known.copy(), np.zeros((size, rows))
         free[:, :n] = TINY * self._prior.variance  # the place is unconstrained
@@ -321,7 +325,7 @@ class Fits:
     def variance(self, time: float) -> Array:
         """Return the total variance of a sighting at a time [s] by each family, (K,) [m^2]."""
         rows = self.rows(np.array([time - self.epoch]))[:, 0]
-        size, count = self._step.shape
+        size, count = self._used.shape
         moved = (rows[:, None, :] @ self._transposed).reshape(size, self._n, count)
         white = moved @ self._root.transpose(0, 2, 1)
         return np.asarray(self._noises * (1.0 + np.sum(white * white, axis=(1, 2))))
@@ -347,32 +351,22 @@ class Fits:
         """Step one oscillation, and search for a better one, each at its turn."""
         turn = (self._rounds + 1) % len(OSCILLATING)
         raw = [each for each in OSCILLATING if self._rates[each] and not self._weighed[each]]
-        order = *raw, *OSCILLATING[turn:], *OSCILLATING[:turn]
-        moved = [self._moved(each) for each in order if self._gain[each] > WORTHWHILE][:1]
-        searches = (
-            self._begin_search,
-            partial(self._seek, SWING, FIXED),
-            partial(self._seek, CARRIER, DRIFTING),
-            partial(self._restart, DAMPED),
-            partial(self._restart, TURN),
-        )
-        searches[self._rounds % len(searches)]()
-        for each in moved:
-            self.place(*each)
+        moves = self._moves(*raw, *OSCILLATING[turn:], *OSCILLATING[:turn])
+        self._searches[self._rounds % len(self._searches)]()
+        for move in moves[:1]:
+            self.place(*move)
         self._rounds += 1
 
     def look_closely(self) -> None:
         """Do at once all that is otherwise spread over many sightings."""
-        self._begin_search()
-        self._seek(SWING, FIXED)
-        self._seek(CARRIER, DRIFTING)
+        for search in self._searches[:3]:
+            search()
         for _ in range(STEPS):
             self.solve()
-            for family in OSCILLATING:
-                if self._gain[family] > WORTHWHILE:
-                    self.place(*self._moved(family))
-            self._restart(DAMPED)
-            self._restart(TURN)
+            for move in self._moves(*OSCILLATING):
+                self.place(*move)
+            for search in self._searches[3:]:
+                search()
         self.solve()
 
     def _begin_search(self) -> None:
@@ -468,19 +462,26 @@ class Bank:
         self.model = ''
         self._last: float | None = None
         self._fits: Fits  # of the present motion, from the first sighting on
-        self._apart: list[tuple[float, Array]] = []  # consecutive outliers so far
-        self._lately: list[tuple[float, Array]] = []
+        self._apart: list[GoalObservation] = []  # consecutive outliers so far
+        self._lately: list[GoalObservation] = []
         self._fastest = 0.0  # highest observed speed [m/s]
 
     def observe(self, sighting: GoalObservation) -> None:
-        """Take in a sighting; ignore it unless it is newer than the last."""
-        time, position, last = sighting.time, sighting.position, self._last
+        """Take in a sighting; ignore it unless it is newer than the last.
+
+        An outlier is set aside; with some more it starts a new motion.
+        """
+        time, last = sighting.time, self._last
         if last is not None and time <= last:
             return
         if last is None or time - last > LOST:
-            self._begin(np.array([time]), position[None])
+            self._begin([sighting])
+        elif self._expected(sighting, time - last):
+            self._learn(sighting, time - last)
         else:
-            self._learn(time, position, time - last)
+            self._apart.append(sighting)
+            if len(self._apart) == BELIEVED:
+                self._begin(self._apart, self._fits.noise[self._fits.count])
         self._last, self.model = time, NAMES[int(np.argmax(self._fits.shares))]
 
     def at(self, times: Array) -> Array:
@@ -500,57 +501,56 @@ class Bank:
         mean = shares @ (now + share[..., None] * moved).reshape(len(shares), -1)
         return np.asarray(mean.reshape(len(times), -1))
 
-    def _note_speed(self, time: float, position: Array) -> None:
-        """Record the goal's recent speed, over half a second or the last two sightings."""
-        self._lately.append((time, position))
-        while len(self._lately) > 2 and time - self._lately[1][0] >= SPEED_OVER:
-            self._lately.pop(0)
-        begun, place = self._lately[0]
-        if time > begun:
-            self._fastest = max(self._fastest, math.dist(position, place) / (time - begun))
-
     # --- taking in
 
-    def _learn(self, time: float, position: Array, waited: float) -> None:
-        if not self._expected(time, position, waited):
-            self._doubt(time, position)
-            return
-        self._apart = []
-        self._add(time, position)
-        if self._fits.count >= SWINGS_FROM:
-            for _ in range(min(max(1, round(waited / PATIENCE)), MOST_ROUNDS)):
-                self._fits.improve()
-        self._fits.solve()
-        if self._changed():
-            self._reconsider()
-        if self._fits.count == MEMORY:
-            self._fits = self._fits.shortened()
-
-    def _add(self, time: float, position: Array) -> None:
-        self._note_speed(time, position)
-        self._fits.add(np.array([time]), position[None])
-
-    def _doubt(self, time: float, position: Array) -> None:
-        """Set an outlier aside; with some more it starts a new motion."""
-        self._apart.append((time, position))
-        if len(self._apart) == BELIEVED:
-            times, seen = zip(*self._apart, strict=True)
-            self._begin(np.array(times), np.array(seen), self._fits.noise[self._fits.count])
-
-    def _expected(self, time: float, position: Array, waited: float) -> bool:
+    def _expected(self, sighting: GoalObservation, waited: float) -> bool:
         """Return True if any motion with a considerable share predicts the goal near there."""
         fits = self._fits
-        off = fits.at(np.array([time]))[:, 0] - position
-        allowed = GATE**2 * (fits.variance(time) + (0.5 * AGILE * waited * waited) ** 2)
+        off = fits.at(np.array([sighting.time]))[:, 0] - sighting.position
+        allowed = GATE**2 * (fits.variance(sighting.time) + (0.5 * AGILE * waited * waited) ** 2)
         near = np.sum(off * off, axis=1) <= allowed
         return bool(np.any(near & (fits.shares > LIKELY)))
 
-    def _begin(self, times: Array, seen: Array, noise: Noise = UNKNOWN) -> None:
-        """Start anew with the first sightings of a motion: times, (M,), and positions, (M, n)."""
-        self._fits, self._apart = Fits(float(times[0]), seen[0].copy(), noise), []
-        for time, position in zip(times.tolist(), seen, strict=True):
-            self._add(time, position)
+    def _learn(self, sighting: GoalObservation, waited: float) -> None:
+        """Fit the present motion to another sighting, or start a new one.
+
+        A new one is started unless an oscillation explains the change on closer analysis.
+        """
+        self._apart, fits = [], self._fits
+        self._add(sighting)
+        oscillates = fits.count >= SWINGS_FROM
+        if oscillates:
+            for _ in range(min(max(1, round(waited / PATIENCE)), MOST_ROUNDS)):
+                fits.improve()
+        fits.solve()
+        if self._changed():
+            if oscillates:
+                fits.look_closely()
+            if new := self._changed():
+                times, places = fits.past[0][-new:] + fits.epoch, fits.past[1][-new:] + fits.origin
+                begun = list(map(GoalObservation, times.tolist(), places))
+                self._begin(begun, fits.noise[fits.count - new])
+        if self._fits.count == MEMORY:
+            self._fits = self._fits.shortened()
+
+    def _begin(self, sightings: Sequence[GoalObservation], noise: Noise = UNKNOWN) -> None:
+        """Start anew with the first sightings of a motion."""
+        first = sightings[0]
+        self._fits, self._apart = Fits(first.time, first.position, noise), []
+        for each in sightings:
+            self._add(each)
             self._fits.solve()
+
+    def _add(self, sighting: GoalObservation) -> None:
+        """Add a sighting, and note the speed over half a second or the last two sightings."""
+        time, lately = sighting.time, self._lately
+        lately.append(sighting)
+        while len(lately) > 2 and time - lately[1].time >= SPEED_OVER:
+            lately.pop(0)
+        if time > lately[0].time:
+            way = math.dist(sighting.position, lately[0].position)
+            self._fastest = max(self._fastest, way / (time - lately[0].time))
+        self._fits.add(np.array([time]), sighting.position[None])
 
     def _changed(self) -> int:
         """Return the number of sightings of a new motion, if one is likely; otherwise 0."""
@@ -564,17 +564,6 @@ class Bank:
         if gain.max() + RARE <= fits.evidence[fits.count]:
             return 0
         return int(lengths[np.flatnonzero(gain > gain.max() - TIE)[-1]])
-
-    def _reconsider(self) -> None:
-        """Start anew with a new motion, unless an oscillation explains it on closer analysis."""
-        fits = self._fits
-        if fits.count >= SWINGS_FROM:
-            fits.look_closely()
-        new = self._changed()
-        if new:
-            times, seen = fits.past
-            begun = times[-new:] + fits.epoch, seen[-new:] + fits.origin
-            self._begin(*begun, fits.noise[fits.count - new])
 
 
 LOWEST, HIGHEST = 0.01, 2.0  # frequencies considered [Hz], the highest subject to Nyquist
@@ -636,21 +625,17 @@ class Harmonic(Velocity):
         Predictions are averaged by evidence over log(frequency).
         """
         stamps, places = self._past()
-        now, last = stamps[-1], places[-1]
-        past, seen = stamps - now, places - last
-        grid = _first_grid(past)
-        evidence, predicted = _fit(grid, past, seen, times - now)
+        last, known = places[-1], (stamps - stamps[-1], places - places[-1], times - stamps[-1])
+        found = _fit(_first_grid(known[0]), *known)
         for _ in range(ZOOMS):
-            best = int(np.argmax(evidence))
-            low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-            finer = np.geomspace(low, high, FINE + 2)[1:-1]
-            more = _fit(finer, past, seen, times - now)
-            order = np.argsort(np.concatenate([grid, finer]))
-            grid = np.concatenate([grid, finer])[order]
-            evidence = np.concatenate([evidence, more[0]])[order]
-            predicted = np.concatenate([predicted, more[1]])[order]
+            best = int(np.argmax(found[:, 1]))
+            low, high = found[max(best - 1, 0), 0], found[min(best + 1, len(found) - 1), 0]
+            finer = _fit(np.geomspace(low, high, FINE + 2)[1:-1], *known)
+            found = np.concatenate([found, finer])
+            found = found[np.argsort(found[:, 0])]
+        grid, evidence, predicted = found[:, 0], found[:, 1], found[:, 2:]
         weights = np.exp(evidence - evidence.max()) * np.gradient(np.log(grid))
-        return np.asarray(last + np.tensordot(weights / weights.sum(), predicted, axes=1))
+        return np.asarray(last + (weights / weights.sum() @ predicted).reshape(len(times), -1))
 
 
 def _first_grid(past: Array) -> Array:
@@ -660,11 +645,11 @@ def _first_grid(past: Array) -> Array:
     return np.geomspace(LOWEST, min(HIGHEST, max(0.45 / spacing, 2 * LOWEST)), COARSE)
 
 
-def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> tuple[Array, Array]:
+def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> Array:
     """Fit the model at each frequency to positions ``seen``, shape (M, n), at times ``past``.
 
-    Returns logarithms of the evidence, shape (F,), and positions ``ahead``, shape (F, N, n) [m],
-    averaged over noises and sizes of swing.
+    Returns rows of frequency, logarithm of the evidence, and N positions ``ahead`` [m], averaged
+    over noises and sizes of swing; shape (F, 2 + N n).
 
     Bayesian linear regression with known noise: with the Gram matrix G, the prior precisions
     relative to the noise L and S = G + L, the coefficients are S^-1 X'y and, up to a constant,
@@ -685,7 +670,8 @@ def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> tuple[Ar
     share = np.exp(evidence - evidence.max(axis=1, keepdims=True))
     total = share.sum(axis=1)
     average = np.einsum('fk,fkcn->fcn', share / total[:, None], coefficients)
-    return evidence.max(axis=1) + np.log(total), x_ahead @ average
+    predicted = (x_ahead @ average).reshape(len(frequencies), -1)
+    return np.column_stack([frequencies, evidence.max(axis=1) + np.log(total), predicted])
 
 
 FORECASTS: dict[str, Callable[[], Forecast]] = {
