@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from orbimpc_ros.loop.compensation import Odometry, WindReport
 from orbimpc_ros.loop.goal.forecast import BELIEVED, FORECASTS, MEMORY, Bank
-from orbimpc_ros.loop.goal.motion import GoalObservation, Paced, Route
+from orbimpc_ros.loop.goal.motion import GoalObservation, Route
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
@@ -367,29 +367,35 @@ def circle(radius=200.0, count=361):
     return Route(points)
 
 
+def pursued(route, begin=0.0, wind=(0.0, 0.0), times=TIMES, max_rate=0.3):
+    """Return the goal's positions along a path at times, from 0 on, and the trouble reported."""
+    pace = np.append(0.0, times), SPEED, np.array(wind)
+    along = route.paced(begin, *pace)
+    return route.place(along[1:]), route.trouble(along, *pace, max_rate)
+
+
 @pytest.mark.parametrize('wind', [(0.0, 0.0), (5.0, 0.0), (-12.0, 9.0), (0.0, 19.0), (-19.0, 2.0)])
 def test_the_goal_moves_at_the_airspeed_in_the_wind(wind):
-    times = np.linspace(0.0, 60.0, 6001)
+    times = np.linspace(0.01, 60.0, 6000)
     for route, begin, near in ((LINE, 1e4, 1e-9), (circle(), 0.0, 0.02)):
-        paced = Paced(route, begin, 0.0, SPEED, np.array(wind))
-        through_air = np.diff(paced.at(times), axis=0) / 0.01 - wind
+        places, _ = pursued(route, begin, wind, times)
+        through_air = np.diff(places, axis=0) / 0.01 - wind
         np.testing.assert_allclose(np.linalg.norm(through_air, axis=1), SPEED, rtol=near)
-    assert Paced(LINE, 1e4, 0.0, SPEED, np.array(wind)).trouble(TIMES, 0.3) == ''
+    assert pursued(LINE, 1e4, wind)[1] == ''
 
 
 @pytest.mark.parametrize('wind', [(-24.0, 0.0), (0.0, 24.0), (-20.0, -1.0)])
 def test_what_the_wind_does_not_allow_is_said_and_waits(wind):
-    paced = Paced(LINE, 1e4, 0.0, SPEED, np.array(wind))
-    np.testing.assert_allclose(paced.at(TIMES), np.zeros((8, 2)), atol=1e-6)
-    assert paced.trouble(TIMES, 0.3).startswith('the path cannot be followed in a wind of 2')
+    places, trouble = pursued(LINE, 1e4, wind)
+    np.testing.assert_allclose(places, np.zeros((8, 2)), atol=1e-6)
+    assert trouble.startswith('the path cannot be followed in a wind of 2')
 
 
 def test_a_corner_that_is_too_sharp_is_said():
     corner = Route(np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 500.0]]))
-    paced = Paced(corner, 20.0, 0.0, SPEED, np.zeros(2))
-    assert 'rounded off' in paced.trouble(TIMES, 0.3)
-    assert paced.trouble(TIMES[:2], 0.3) == ''  # the corner is later
-    assert Paced(circle(), 0.0, 0.0, SPEED, np.zeros(2)).trouble(TIMES, 0.12) == ''
+    assert 'rounded off' in pursued(corner, 20.0)[1]
+    assert pursued(corner, 20.0, times=TIMES[:2])[1] == ''  # the corner is later
+    assert pursued(circle(), max_rate=0.12)[1] == ''
 
 
 def test_the_nearest_point_is_looked_for_along_the_way():
@@ -402,10 +408,10 @@ def test_the_nearest_point_is_looked_for_along_the_way():
 
 
 def test_an_open_path_ends_and_a_closed_one_goes_on():
-    short = Paced(Route(np.array([[0.0, 0.0], [30.0, 0.0]])), 0.0, 0.0, SPEED, np.zeros(2))
-    np.testing.assert_allclose(short.at(np.array([5.0])), [[30.0, 0.0]])
-    around = Paced(circle(), 0.0, 0.0, SPEED, np.zeros(2)).at(np.array([0.0, 20.0 * math.pi]))
-    np.testing.assert_allclose(around[0], around[1], atol=0.5)
+    short = Route(np.array([[0.0, 0.0], [30.0, 0.0]]))
+    np.testing.assert_allclose(pursued(short, times=np.array([5.0]))[0], [[30.0, 0.0]])
+    around, _ = pursued(circle(), times=np.array([20.0 * math.pi]))
+    np.testing.assert_allclose(around[0], circle().positions[0], atol=0.5)
 
 
 @pytest.mark.parametrize('points', [[[0.0, 0.0]], [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]]])

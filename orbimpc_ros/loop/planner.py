@@ -26,7 +26,7 @@ from orbimpc_ros.loop.fallback import (
     may_stop,
     safe_command,
 )
-from orbimpc_ros.loop.goal.motion import GoalMotion, Paced, Route
+from orbimpc_ros.loop.goal.motion import GoalMotion, Route
 from orbimpc_ros.loop.intercept import FARTHEST, MEMORY, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.traffic import ObservedTraffic, nearest, reserving
 from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
@@ -397,19 +397,16 @@ class Planner:
         memory, state, odometry = self._memory, task.state, start.odometry
         assert given is not None
         ends = odometry.time + task.problem.step * self._counted[: task.problem.horizon]
-        motion = None if isinstance(given, np.ndarray) else given
+        motion, held, catch = None if isinstance(given, np.ndarray) else given, '', None
         if isinstance(motion, Route):
-            motion = self._paced(motion, odometry)
-        goals = np.array(given if motion is None else motion.at(ends), dtype=float)
-        goals.setflags(write=False)
-        goals, shortened = clamp_goal(self.problem, state, goals)
+            places, held = self._paced(motion, odometry, ends)
+        else:
+            places = np.array(given if motion is None else motion.at(ends), dtype=float)
+        goals, shortened = clamp_goal(self.problem, state, sealed(places))
         task = replace(task, goals=goals)
-        held, catch = '', None
-        if state.hazards or self.problem.obstacles:
+        if not held and (state.hazards or self.problem.obstacles):
             held = held_goal(task.problem, state, goals)
-        if isinstance(motion, Paced):
-            held = motion.trouble(ends, self._max_rate)
-        if self._interception is not None and not shortened and not isinstance(motion, Paced):
+        if self._interception is not None and not shortened and not isinstance(motion, Route):
             task, (plan, status, words), catch = self._caught(task, self._interception, motion)
         else:
             task, (plan, status, words) = self._tracked(task)
@@ -422,14 +419,16 @@ class Planner:
         decision = self._following(task, plan, status, reason)
         return replace(decision, catch=catch) if catch and decision.plan else decision
 
-    def _paced(self, route: Route, odometry: Odometry) -> Paced:
-        """Return the goal that moves along a path, starting at the vehicle's progress along it."""
-        memory, forward = self._memory, self.problem.forward
+    def _paced(self, route: Route, odometry: Odometry, ends: Array) -> tuple[Array, str]:
+        """Return the goals along a path, from the vehicle's progress on, and any trouble."""
+        memory, problem = self._memory, self.problem
         near = memory.along if memory.route is route else None
-        within = self.problem.horizon * self.problem.step * forward
+        within = problem.horizon * problem.step * problem.forward
         memory.route, memory.along = route, route.nearest(odometry.position, near, within)
-        wind = self._compensator.disturbance
-        return Paced(route, memory.along, odometry.time, forward, wind)
+        times = np.array([odometry.time, *ends])
+        pace = times, problem.forward, self._compensator.disturbance
+        along = route.paced(memory.along, *pace)
+        return route.place(along[1:]), route.trouble(along, *pace, self._max_rate)
 
     def _tracked(self, task: Task) -> tuple[Task, Answer]:
         """Return a task with the largest reserve for which there is a plan, and its answer.

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -144,57 +145,45 @@ class Route:
         """Return the end of the path for all times, shape (N, n) [m], as the final goal."""
         return np.repeat(self.positions[-1:], len(times), axis=0)
 
+    def paced(self, begin: float, times: Array, airspeed: float, wind: Array) -> Array:
+        """Return the distances [m] along the path of the goal at increasing times, shape (K,) [s].
 
-@dataclass(frozen=True, eq=False)
-class Paced:
-    """A goal that moves along a path."""
-
-    route: Route
-    along: float  # initial distance along it [m]
-    time: float  # initial time [s]
-    airspeed: float  # of the pursuit [m/s]
-    wind: Array  # shape (n,) [m/s]
-
-    def at(self, times: Array) -> Array:
-        """Return the positions of the goal at increasing times, shape (N,) [s], as (N, n) [m]."""
-        return self.route.place(self._distances(times))
-
-    def _distances(self, times: Array) -> Array:
-        found, along, now = [], self.along, self.time
-        for end in times:
-            count = max(1, math.ceil((end - now) / FINE))
+        It is at ``begin`` at the first of them. The wind has shape (n,) [m/s].
+        """
+        found = [begin]
+        for now, end in pairwise(times.tolist()):
+            along, count = found[-1], max(1, math.ceil((end - now) / FINE))
+            part = (end - now) / count
             for _ in range(count):
-                middle = along + 0.5 * (end - now) / count * self._speed(along)
-                along += (end - now) / count * self._speed(middle)
+                middle = along + 0.5 * part * self._speed(along, airspeed, wind)
+                along += part * self._speed(middle, airspeed, wind)
             found.append(along)
-            now = float(end)
         return np.array(found)
 
-    def _speed(self, along: float) -> float:
+    def _speed(self, along: float, airspeed: float, wind: Array) -> float:
         """Return the speed over ground [m/s]; 0 if progress along the path is impossible."""
-        direction = self.route.direction(along)
-        ahead = float(direction @ self.wind)
-        left = self.airspeed**2 - float(self.wind @ self.wind) + ahead**2
+        ahead = float(self.direction(along) @ wind)
+        left = airspeed**2 - float(wind @ wind) + ahead**2
         return max(0.0, ahead + math.sqrt(left)) if left > 0.0 else 0.0
 
-    def trouble(self, times: Array, max_rate: float) -> str:
-        """Return why the path cannot be followed up to times, (N,) [s]; otherwise empty.
+    def trouble(
+        self, along: Array, times: Array, airspeed: float, wind: Array, max_rate: float
+    ) -> str:
+        """Return why the path cannot be followed as paced; otherwise an empty string.
 
         ``max_rate`` is the limit of the turn rate [rad/s]; 0 for no limit.
         """
-        along = np.concatenate([[self.along], self._distances(times)])
-        speeds = [self._speed(each) for each in along]
+        speeds = [self._speed(each, airspeed, wind) for each in along]
         if not all(speeds):
-            where, strong = along[speeds.index(0.0)] - self.along, np.linalg.norm(self.wind)
-            known = f'in a wind of {strong:.3g} m/s at {self.airspeed:.3g} m/s of airspeed'
+            where, strong = along[speeds.index(0.0)] - along[0], np.linalg.norm(wind)
+            known = f'in a wind of {strong:.3g} m/s at {airspeed:.3g} m/s of airspeed'
             return f'the path cannot be followed {known}, from {where:.3g} m ahead on'
-        if not max_rate or len(self.wind) != 2:
+        if not max_rate or len(wind) != 2:
             return ''
-        ways = np.array([self.route.direction(each) for each in along])
-        through = np.array(speeds)[:, None] * ways - self.wind
-        angles = np.unwrap(np.arctan2(through[:, 1], through[:, 0]))
-        turns = np.abs(np.diff(angles)) / np.diff(np.concatenate([[self.time], times]))
+        ways = np.array([self.direction(each) for each in along])
+        through = np.array(speeds)[:, None] * ways - wind
+        turns = np.abs(np.diff(np.unwrap(np.arctan2(*through.T[::-1])))) / np.diff(times)
         if turns.max() <= SHARP * max_rate:
             return ''
-        where = along[int(np.argmax(turns))] - self.along
+        where = along[int(np.argmax(turns))] - along[0]
         return f'the path turns by {turns.max():.3g} rad/s, {where:.3g} m ahead: rounded off'
