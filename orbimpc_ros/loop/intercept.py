@@ -179,7 +179,8 @@ class Interception:
         self._centred = centred
         self._step, self._horizon = problem.step, problem.horizon
         self.farthest = _farthest(problem)
-        self._finest = _finest(problem, radius)
+        share = radius / (problem.step * problem.forward)  # of a step that flies a radius
+        self._finest = min(COARSEST, max(FINEST, 2.0 ** math.floor(math.log2(share))))
         self._divides = problem.rotation_order == 1  # at order 2, coasting lasts for a whole step
         self._turns_within = problem.max_rate > 0.0 or problem.discretisation != 'euler'
         self._coned = problem.approach.exists
@@ -471,12 +472,6 @@ def _farthest(problem: Problem) -> int:
     return int(problem.horizon * longest / problem.step)
 
 
-def _finest(problem: Problem, radius: float) -> float:
-    """Return the share of a step that flies no farther than a radius [m], within bounds."""
-    share = radius / (problem.step * problem.forward)
-    return float(min(COARSEST, max(FINEST, 2.0 ** math.floor(math.log2(share)))))
-
-
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """Return the final position error of a vehicle that follows a plan, shape (n,) [m].
 
@@ -486,18 +481,10 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
-    shares = plan.speed_fraction.tolist()
-    reached, covered = shares[0], []
-    for wanted in shares[1:]:
-        reached, flown = followed(reached, wanted, problem.step, lag)
-        covered.append(flown)
-    way = problem.forward * (np.array(covered) @ _means(plan.projected))
+    reached, *shares = plan.speed_fraction.tolist()
+    before, ahead, ways = plan.projected[:-1], np.eye(problem.dimension)[0], []
+    for wanted, turn in zip(shares, before.transpose(0, 2, 1) @ plan.projected[1:], strict=True):
+        reached, covered = followed(reached, wanted, problem.step, lag)
+        ways.append(covered * turned(log(turn), ahead)[0])
+    way = problem.forward * np.einsum('kij,kj->i', before, np.array(ways))
     return np.asarray(adrift(problem, state) + way - plan.positions[-1])
-
-
-def _means(attitudes: Array) -> Array:
-    """Return the mean thrust axis in each step, (N, n), for even turns between attitudes."""
-    turns = np.swapaxes(attitudes[:-1], 1, 2) @ attitudes[1:]
-    ahead = np.eye(turns.shape[-1])[0]
-    reached = np.array([turned(log(each), ahead)[0] for each in turns])
-    return np.einsum('kij,kj->ki', attitudes[:-1], reached)
