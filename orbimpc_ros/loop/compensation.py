@@ -493,11 +493,9 @@ class Compensator:
         last = self._last
         if last is None or odometry.time > last.time:
             self._last = odometry
-            moved = None if last is None else self._moved(last, odometry)
-            if last is None or moved is None:
+            if last is None or not self._predict(last, odometry):
                 self._believe(odometry)
             else:
-                self._predict(moved, odometry.time - last.time)
                 self._correct(odometry, odometry.time - last.time)
         if wind is not None:
             self._hear(wind)
@@ -575,36 +573,34 @@ class Compensator:
             self._forget(row, variance)
         self.innovation, self._refused = 0.0, 0
 
-    def _moved(self, last: Odometry, now: Odometry) -> Array | None:
-        """Return the motion by commands and given disturbance since, shape (1 or 2, n), or None."""
-        problem, time = self._problem, now.time - last.time
+    def _predict(self, last: Odometry, now: Odometry) -> bool:
+        """Propagate the state to a measurement; return False if the motion since is unknown.
+
+        That is due to commands, of which the measured attitudes tell the direction, and to the
+        given disturbance.
+        """
+        problem, time, given = self._problem, now.time - last.time, self._given
         share = self.history.mean(last.time, now.time)
         if self._sideslip:
             share = 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / problem.forward
         if time > GAP or share is None:
-            return None
+            return False
         turn, ahead = log(last.attitude.T @ now.attitude), share * self._full
         once, twice = (last.attitude @ each for each in turned(turn, ahead))
-        gained = time * (once + self._given)
+        moved = np.array([time * time * (twice + 0.5 * given), time * (once + given)])
+        step, driven = np.eye(3), np.array([time, 1.0, 0.0])
+        step[:2, 2], step[0, 1] = (0.5 * time * time, time), time
         if not problem.inertial:
-            return gained[None]
-        return np.array([time * time * (twice + 0.5 * self._given), gained])
-
-    def _predict(self, moved: Array, time: float) -> None:
-        """Propagate the state by a time [s], with known increments ``moved``."""
-        step, driven = np.eye(3), np.array([0.0, 1.0, 0.0])
-        step[:2, 2] = 0.5 * time * time, time
-        step[0, 1] = driven[0] = time
-        if not self._problem.inertial:
             lag = self.response.speed
             fading = math.exp(-time / lag) if lag else 0.0
             step[:2, 1:] = [[lag * (1.0 - fading), time], [fading, 0.0]]
-            driven = np.array([1.0, 0.0, 0.0])
+            moved, driven = moved[1:], np.array([1.0, 0.0, 0.0])
         self._estimate = step @ self._estimate
         self._estimate[: len(moved)] += moved
         drift = step[:, -1] * self._drift
         spread = time * (self._gusts**2 * np.outer(driven, driven) + np.outer(drift, drift))
         self._covariance = step @ self._covariance @ step.T + spread
+        return True
 
     def _correct(self, odometry: Odometry, time: float) -> None:
         """Update with a measurement, a time [s] after the last, unless it is an outlier."""

@@ -476,10 +476,9 @@ class Planner:
         expected = (memory.catch - now) / task.problem.step
         if abs(expected - round(expected)) <= SNAP:
             expected = float(round(expected))
-        alone = task
+        alone, most = task, math.inf
         if task.state.hazards:
-            alone = replace(task, state=replace(task.state, hazards=()))
-        most = CATCHES_AMONG if task.state.hazards else math.inf
+            alone, most = replace(task, state=replace(task.state, hazards=())), CATCHES_AMONG
         query = InterceptQuery(alone, motion, now, memory.passed or math.inf, expected, most)
         found, catch = interception.earliest(query)
         words = ''

@@ -593,8 +593,6 @@ class Velocity:
     def at(self, times: Array) -> Array:
         """Return the line at ``times`` [s], shape (N, n) [m]; the position if there is only one."""
         stamps, seen = self._past()
-        if stamps[-1] == stamps[0]:
-            return np.tile(seen[-1], (len(times), 1))
         return seen.mean(axis=0) + np.outer(times - stamps.mean(), slope(stamps, seen))
 
 
@@ -626,7 +624,10 @@ class Harmonic(Velocity):
         """
         stamps, places = self._past()
         last, known = places[-1], (stamps - stamps[-1], places - places[-1], times - stamps[-1])
-        found = _fit(_first_grid(known[0]), *known)
+        gaps = np.diff(stamps)
+        spacing = float(np.median(gaps[gaps > 0.0])) if np.any(gaps > 0.0) else 1.0
+        highest = min(HIGHEST, max(NYQUIST / spacing, 2 * LOWEST))
+        found = _fit(np.geomspace(LOWEST, highest, COARSE), *known)
         for _ in range(ZOOMS):
             best = int(np.argmax(found[:, 1]))
             low, high = found[max(best - 1, 0), 0], found[min(best + 1, len(found) - 1), 0]
@@ -636,13 +637,6 @@ class Harmonic(Velocity):
         grid, evidence, predicted = found[:, 0], found[:, 1], found[:, 2:]
         weights = np.exp(evidence - evidence.max()) * np.gradient(np.log(grid))
         return np.asarray(last + (weights / weights.sum() @ predicted).reshape(len(times), -1))
-
-
-def _first_grid(past: Array) -> Array:
-    """Return frequencies from the lowest to the highest resolved by the sightings."""
-    gaps = np.diff(past)
-    spacing = float(np.median(gaps[gaps > 0.0])) if np.any(gaps > 0.0) else 1.0
-    return np.geomspace(LOWEST, min(HIGHEST, max(0.45 / spacing, 2 * LOWEST)), COARSE)
 
 
 def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> Array:
