@@ -149,11 +149,10 @@ def test_forecasts_move_turn_and_wait_with_the_goal(family, n):
 def test_the_same_sightings_give_the_same_bits_whoever_asked_meanwhile():
     rng = np.random.default_rng(6)
     times, seen = sighted(drawn('swing', 3, rng), rng, noise=0.05)
-    silent, asked, again = shown(times, seen), Bank(), Bank()
+    silent, again, asked = shown(times, seen), shown(times, seen), Bank()
     for time, position in zip(times, seen, strict=True):
         asked.observe(GoalObservation(float(time), position.copy()))
         asked.at(time + np.arange(5.0))
-    shown(times, seen, again)
     ahead = times[-1] + np.arange(5.0)
     for other in (asked, again):
         np.testing.assert_array_equal(silent.at(ahead), other.at(ahead))
@@ -209,8 +208,7 @@ def test_a_second_after_a_change_of_course_the_new_one_is_known(turned, rate, no
         rng = np.random.default_rng([15, seed])
         speed, angle = rng.uniform(0.3, 3.0), rng.uniform(-np.pi, np.pi)
         old = speed * np.array([np.cos(angle), np.sin(angle)])
-        new = speed * np.array([np.cos(angle + np.pi * turned), np.sin(angle + np.pi * turned)])
-        new = new if turned else np.zeros(2)
+        new = bool(turned) * exp(np.array([np.pi * turned])) @ old
         since = np.arange(-rng.uniform(4.0, 10.0), 1.0, 1.0 / rate)[:, None]
         seen = np.where(since < 0.0, since * old, since * new)
         seen = seen + noise * rng.normal(size=seen.shape)
@@ -257,10 +255,8 @@ def test_an_outlier_is_no_velocity():
     without = shown(np.delete(times, 100), np.delete(seen, 100, axis=0)).at(ahead)
     seen[100] += [100.0, -50.0]
     np.testing.assert_allclose(shown(times, seen).at(ahead), without, atol=0.02)
-    last = np.vstack([seen, seen[-1] + 100.0])
-    np.testing.assert_allclose(
-        shown(np.r_[times, times[-1] + 0.1], last).at(ahead), without, atol=1e-9
-    )
+    another = np.r_[times, times[-1] + 0.1], np.vstack([seen, seen[-1] + 100.0])
+    np.testing.assert_allclose(shown(*another).at(ahead), without, atol=1e-9)
 
 
 def test_a_goal_that_stays_elsewhere_is_believed_to_be_there():
@@ -422,10 +418,8 @@ def test_points_have_to_be_apart(points):
 
 def flown(route, wind, seconds, place=(0.0, 60.0), heading=0.0):
     """Return positions and final axis of a wing without lags on a route, and the last decision."""
-    floor = Floor('circle', fraction=0.8)
-    problem = Problem(
-        horizon=10, step=0.5, forward=SPEED, floor=floor, max_rate=0.4, discretisation='exact'
-    )
+    limits = {'forward': SPEED, 'floor': Floor('circle', fraction=0.8), 'max_rate': 0.4}
+    problem = Problem(horizon=10, step=0.5, discretisation='exact', **limits)
     planner = Planner(problem, estimated=True, velocity_source='air')
     place, turned, places = np.array(place), exp(np.array([heading])), []
     for time in np.arange(0.0, seconds, 0.5):
