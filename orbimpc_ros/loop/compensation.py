@@ -488,7 +488,8 @@ class Compensator:
     def observe(self, odometry: Odometry, wind: WindReport | None = None) -> str:
         """Update the disturbance; return a message if it was limited to what can be counteracted.
 
-        A measurement is ignored if its stamp does not increase.
+        A measurement is ignored if its stamp does not increase. A reported wind is taken in once;
+        the sooner it follows another, the less it counts.
         """
         last = self._last
         if last is None or odometry.time > last.time:
@@ -497,20 +498,13 @@ class Compensator:
                 self._believe(odometry)
             else:
                 self._correct(odometry, odometry.time - last.time)
-        if wind is not None:
-            self._hear(wind)
+        if wind is not None and wind.time != self._reported:
+            since, self._reported = abs(wind.time - self._reported), wind.time  # may be set back
+            variance = wind.variance if wind.variance > 0.0 else UNSTATED
+            variance *= max(1.0, ALIKE / since) / self._problem.forward**2
+            missed = wind.velocity - self._given - self._estimate[2]
+            self._learn(np.eye(3)[2:], missed[None], np.array([variance]))
         return self._limit()
-
-    def _hear(self, wind: WindReport) -> None:
-        """Take in a reported wind, once; the sooner it follows another, the less it counts."""
-        since = abs(wind.time - self._reported)  # its sender's clock may have been set back
-        if since == 0.0:
-            return
-        self._reported = wind.time
-        variance = wind.variance if wind.variance > 0.0 else UNSTATED
-        variance *= max(1.0, ALIKE / since) / self._problem.forward**2
-        missed = wind.velocity - self._given - self._estimate[2]
-        self._learn(np.eye(3)[2:], missed[None], np.array([variance]))
 
     def _learn(self, rows: Array, missed: Array, variances: Array) -> None:
         """Correct the state by measurements of its components ``rows``, shape (M, 3).

@@ -43,9 +43,7 @@ CIRCLE_STEPS = 16  # steps in which a loitering vehicle completes its circle
 
 def is_clear(task: Task, plan: Plan) -> bool:
     """Return True if the first steps of a checked plan, steered, stay clear of hazards."""
-    if not _cuts_turns(task.problem):
-        return True
-    return _suffices(task.problem, _room(task, SURE_STEPS, plan))
+    return not _cuts_turns(task.problem) or _suffices(task, SURE_STEPS, plan)
 
 
 def cheapest_clear(task: Task, plans: Iterable[Plan]) -> Plan | None:
@@ -82,9 +80,11 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
     unit, over = SAME * problem.maps.unit, np.array([problem.step * problem.horizon])
 
     def rank(plan: Plan) -> tuple[int, int, float]:
+        steps = range(1, plan.horizon + 1)
+        clear = bisect_left(steps, True, key=lambda n: not _suffices(task, n, plan))
         room = round(_room(task, problem.horizon, plan) / unit)
         depths = [each.depth(plan.positions[-1:], over)[0] for each in state.hazards]
-        return _clear_steps(task, plan), room, -max(depths)
+        return clear, room, -max(depths)
 
     best = max(found, key=rank, default=None)
     return best, 0.0 if best is None else _room(task, problem.horizon, best)
@@ -104,15 +104,9 @@ def leaving(task: Task) -> Task | None:
     return replace(task, problem=known[0], state=known[1]) if around else None
 
 
-def _clear_steps(task: Task, plan: Plan) -> int:
-    """Return the number of a plan's first steps that are clear of hazards."""
-    steps = range(1, plan.horizon + 1)
-    return bisect_left(steps, True, key=lambda n: not _suffices(task.problem, _room(task, n, plan)))
-
-
-def _suffices(problem: Problem, room: float) -> bool:
-    """Return True if a distance from hazards [m] counts as clear."""
-    return room >= -TOUCHING * problem.maps.unit
+def _suffices(task: Task, steps: int, plan: Plan) -> bool:
+    """Return True if the first steps of a plan, when steered, count as clear of hazards."""
+    return _room(task, steps, plan) >= -TOUCHING * task.problem.maps.unit
 
 
 def _ways(task: Task, proof: Proof) -> Iterator[Plan]:

@@ -68,11 +68,10 @@ class ObstacleTracker:
         Raises:
             BadInput: older than the one before; another place at the same time; too many bodies.
         """
-        track, words = self._tracks.get(seen.name), ''
-        if track is None:
-            if len(self._tracks) >= MOST:
-                raise BadInput('count', seen.name, f'at most {MOST} bodies')
-        else:
+        if seen.name not in self._tracks and len(self._tracks) >= MOST:
+            raise BadInput('count', seen.name, f'at most {MOST} bodies')
+        track, words = self._tracks.setdefault(seen.name, deque(maxlen=LATEST)), ''
+        if track:
             last = track[-1]
             if seen.time < last.time:
                 raise BadInput('reordered stamp', seen.time, f'after the last one, {last.time:g} s')
@@ -83,10 +82,8 @@ class ObstacleTracker:
             way = float(np.linalg.norm(seen.body.centre - last.body.centre))
             speed = way / (seen.time - last.time)
             if speed > fastest:
-                track = None
+                track.clear()
                 words = f'{seen.name!r} jumped at {speed:.3g} m/s: taken for a new body at rest'
-        if track is None:
-            track = self._tracks[seen.name] = deque(maxlen=LATEST)
         track.append(seen)
         return words
 
