@@ -178,7 +178,12 @@ class Interception:
         self._near = GRAZE * radius
         self._centred = centred
         self._step, self._horizon = problem.step, problem.horizon
-        self.farthest = _farthest(problem)
+        self.farthest = problem.horizon  # last end at which to search for a catch, in steps
+        if problem.rotation_order == 1 and not problem.boxes:  # none is between longer steps
+            longest = FARTHEST * problem.step
+            if problem.max_rate:
+                longest = min(longest, max(problem.step, SHARPEST / problem.max_rate))
+            self.farthest = int(problem.horizon * longest / problem.step)
         share = radius / (problem.step * problem.forward)  # of a step that flies a radius
         self._finest = min(COARSEST, max(FINEST, 2.0 ** math.floor(math.log2(share))))
         self._divides = problem.rotation_order == 1  # at order 2, coasting lasts for a whole step
@@ -197,7 +202,7 @@ class Interception:
 
         Past the horizon, any plan well within the radius will do; within it, the best is wanted.
         """
-        well = self._well(end) ** 2 if end > self._horizon else -math.inf
+        well = (NARROW * self._radius) ** 2 if end > self._horizon else -math.inf
         return self._solver_for(self.problem(end, narrow), enough=Enough(well, self._costliest))
 
     def _problem(self, end: float, narrow: bool = False) -> Problem:
@@ -386,11 +391,9 @@ class Interception:
         return within or end == int(end)
 
     def _is_well(self, attempt: _Attempt) -> bool:
-        return attempt.miss <= self._well(attempt.end)
-
-    def _well(self, end: float) -> float:
-        """Return the distance below which a catch at an end is well within the radius [m]."""
-        return self._aim if end <= self._horizon else NARROW * self._radius
+        """Return True if a plan ends well within the radius: past the horizon with more margin."""
+        within = self._aim if attempt.end <= self._horizon else NARROW * self._radius
+        return attempt.miss <= within
 
     def _surely(self, query: InterceptQuery, end: float) -> _Attempt:
         """Try to come well within the radius at an end."""
@@ -457,19 +460,6 @@ def _turns_too_far(plan: Plan, end: float) -> bool:
     """Return True if a vehicle would turn by more than half a turn before the next tick."""
     change = float(np.sum((plan.projected[1] - plan.projected[0]) ** 2))
     return change > LARGEST_CHANGE * math.sin(0.5 * math.pi * end / math.ceil(end)) ** 2 + TINY
-
-
-def _farthest(problem: Problem) -> int:
-    """Return the last end, in steps, at which to search for a catch.
-
-    Steps are not lengthened if a box between their ends would be missed.
-    """
-    if problem.rotation_order == 2 or problem.boxes:
-        return problem.horizon
-    longest = FARTHEST * problem.step
-    if problem.max_rate:
-        longest = min(longest, max(problem.step, SHARPEST / problem.max_rate))
-    return int(problem.horizon * longest / problem.step)
 
 
 def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
