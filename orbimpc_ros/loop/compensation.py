@@ -274,6 +274,7 @@ class Compensator:
         self.history.forget()
         if wind:
             self._estimate = np.zeros((3, self._problem.dimension))
+            self._estimate[-1] = self._given
             self._covariance = np.diag([0.0, 0.0, PRIOR**2])
         self._last: Odometry | None = None
         self._leaning = np.zeros(self._problem.dimension)  # recent bias of innovations, normalised
@@ -286,14 +287,15 @@ class Compensator:
         self.history.lag = self.response.speed
         if not self._estimated:
             return
-        self._estimate, self._covariance = other._estimate, other._covariance
+        self._estimate, self._covariance = other._estimate.copy(), other._covariance
+        self._estimate[-1] += self._given - other._given
         self._last, self._leaning, self._reported = other._last, other._leaning, other._reported
         self.innovation, self._refused = other.innovation, other._refused
 
     @property
     def disturbance(self) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2], with the given part, shape (n,)."""
-        found: Array = self._given + self._estimate[-1]
+        found: Array = self._estimate[-1].copy()
         found.setflags(write=False)
         return found
 
@@ -502,7 +504,7 @@ class Compensator:
             since, self._reported = abs(wind.time - self._reported), wind.time  # may be set back
             variance = wind.variance if wind.variance > 0.0 else UNSTATED
             variance *= max(1.0, ALIKE / since) / self._problem.forward**2
-            missed = wind.velocity - self._given - self._estimate[2]
+            missed = wind.velocity - self._estimate[2]
             self._learn(np.eye(3)[2:], missed[None], np.array([variance]))
         return self._limit()
 
@@ -520,13 +522,12 @@ class Compensator:
 
     def _limit(self) -> str:
         """Limit the disturbance to what the vehicle can counteract; return a message if limited."""
-        problem, given, whole = self._problem, self._given, self.disturbance
-        known = REPORTED if self._reported > -math.inf else LARGEST
-        size, most = float(np.linalg.norm(whole)), known * problem.forward
-        most = max(most, float(np.linalg.norm(given)))
+        problem, known = self._problem, REPORTED if self._reported > -math.inf else LARGEST
+        size, given = (float(np.linalg.norm(each)) for each in (self._estimate[-1], self._given))
+        most = max(known * problem.forward, given)
         if size <= most:
             return ''
-        self._estimate[-1] = whole * (most / size) - given
+        self._estimate[-1] *= most / size
         unit = 'm/s^2' if problem.inertial else 'm/s'
         return f'the disturbance is estimated to be {size:.3g} {unit}, taken as {most:.3g} {unit}'
 
@@ -568,12 +569,11 @@ class Compensator:
         self.innovation, self._refused = 0.0, 0
 
     def _predict(self, last: Odometry, now: Odometry) -> bool:
-        """Propagate the state to a measurement; return False if the motion since is unknown.
+        """Propagate the state to a measurement; return False if the commands since are unknown.
 
-        That is due to commands, of which the measured attitudes tell the direction, and to the
-        given disturbance.
+        Their direction follows from the measured attitudes.
         """
-        problem, time, given = self._problem, now.time - last.time, self._given
+        problem, time = self._problem, now.time - last.time
         share = self.history.mean(last.time, now.time)
         if self._sideslip:
             share = 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / problem.forward
@@ -581,7 +581,7 @@ class Compensator:
             return False
         turn, ahead = log(last.attitude.T @ now.attitude), share * self._full
         once, twice = (last.attitude @ each for each in turned(turn, ahead))
-        moved = np.array([time * time * (twice + 0.5 * given), time * (once + given)])
+        moved = np.array([time * time * twice, time * once])
         step, driven = np.eye(3), np.array([time, 1.0, 0.0])
         step[:2, 2], step[0, 1] = (0.5 * time * time, time), time
         if not problem.inertial:
