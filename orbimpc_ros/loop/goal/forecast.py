@@ -490,15 +490,15 @@ class Bank:
         They are the mean of the families weighted by their shares. The distance of each from its
         own position at the last sighting is limited by the highest speed observed.
         """
-        assert self._last is not None
-        used, fits = np.flatnonzero(self._fits.shares > NEGLIGIBLE), self._fits
+        fits, last = self._fits, self._last
+        assert last is not None
+        used = np.flatnonzero(fits.shares > NEGLIGIBLE)
         shares = fits.shares[used] / fits.shares[used].sum()
-        now, places = (fits.at(each)[used] for each in (np.array([self._last]), times))
-        moved, reach = places - now, self._fastest * np.maximum(times - self._last, 0.0)
-        size = np.linalg.norm(moved, axis=2)
-        share = np.where(size > reach, reach / np.maximum(size, TINY), 1.0)
-        share[:, times <= self._last] = 1.0
-        mean = shares @ (now + share[..., None] * moved).reshape(len(shares), -1)
+        places = fits.at(np.append(last, times))[used]
+        moved, reach = places[:, 1:] - places[:, :1], self._fastest * (times - last)
+        size = np.maximum(np.linalg.norm(moved, axis=2), TINY)
+        share = np.where(times > last, np.minimum(1.0, reach / size), 1.0)
+        mean = shares @ (places[:, :1] + share[..., None] * moved).reshape(len(shares), -1)
         return np.asarray(mean.reshape(len(times), -1))
 
     # --- taking in
@@ -575,12 +575,13 @@ DRIFT = 10.0  # prior standard deviation of c about the last sighting [m]
 
 
 class Velocity:
-    """Extrapolates the goal along the straight line fitted to its latest sightings."""
+    """Extrapolates the goal along the straight line fitted to its latest sightings.
 
-    LATEST = 3  # sightings
+    With only the last one it stays there, as in the paper.
+    """
 
-    def __init__(self) -> None:
-        self._latest: deque[GoalObservation] = deque(maxlen=self.LATEST)
+    def __init__(self, latest: int) -> None:
+        self._latest: deque[GoalObservation] = deque(maxlen=latest)
 
     def observe(self, sighting: GoalObservation) -> None:
         """Take in a sighting."""
@@ -598,12 +599,6 @@ class Velocity:
         return seen.mean(axis=0) + np.outer(times - stamps.mean(), slope(stamps, seen))
 
 
-class Hold(Velocity):
-    """The paper's forecast: the goal stays at its last observed position."""
-
-    LATEST = 1
-
-
 class Harmonic(Velocity):
     r"""The goal swings: a harmonic oscillation with unknown parameters.
 
@@ -617,7 +612,8 @@ class Harmonic(Velocity):
     motion after a few, the more cautiously the more noise there is.
     """
 
-    LATEST = 64
+    def __init__(self) -> None:
+        super().__init__(latest=64)
 
     def at(self, times: Array) -> Array:
         """Return the predicted positions at ``times``, shape (N,) [s], as shape (N, n) [m].
@@ -671,8 +667,8 @@ def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> Array:
 
 
 FORECASTS: dict[str, Callable[[], Forecast]] = {
-    'hold': Hold,
-    'velocity': Velocity,
+    'hold': partial(Velocity, latest=1),
+    'velocity': partial(Velocity, latest=3),
     'harmonic': Harmonic,
     'auto': Bank,
 }
