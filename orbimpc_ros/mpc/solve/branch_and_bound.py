@@ -156,6 +156,8 @@ class Search:
                     if way is not None:
                         best.dive(regions.headings(way), self._rows(root))
                 among = False
+        if best.x is None:
+            best.recall()
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if max(lower, root.bound) == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
@@ -233,17 +235,17 @@ class Search:
     def _seek(
         self, node: Node, relaxed: Relaxation, headings: Array, missed: dict[int, float]
     ) -> None:
-        """Offer a solution that meets all choices as the incumbent; dive from another one."""
+        """Offer a solution that meets all choices as the incumbent; dive from any other one."""
         dives, regions = self._dives, self._regions
-        if missed:
-            # Only round floors and balls are violated, and by little.
-            nearly = all(regions.is_round(c) and by < NEAR for c, by in missed.items())
-            dived = dives.x is None or nearly
-        else:
+        if not missed:
             assert relaxed.x is not None
             dives.offer(relaxed.x)
-            dived = not (relaxed.is_accurate and regions.turns_in_time(headings))
-        if dived:
+            if relaxed.is_accurate and regions.turns_in_time(headings):
+                return
+        dives.recall()
+        # Only round floors and balls are violated, and by little.
+        nearly = all(regions.is_round(c) and by < NEAR for c, by in missed.items())
+        if nearly or dives.x is None:
             dives.dive(headings, self._rows(node))
 
     def _rows(self, node: Node) -> Rows:

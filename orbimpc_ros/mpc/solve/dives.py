@@ -51,12 +51,18 @@ class Dives:
         self._tolerance, self.solved = tolerance, 0
         self.x: Array | None = None
         self.cost = np.inf
-        self._take([self._request.guess])
+        self._guess = self._request.guess
+
+    def recall(self) -> None:
+        """Accept the guess, if it passes the check of plans, when a search first needs it."""
+        if self._guess is not None:
+            self._take([self._guess])
+            self._guess = None
 
     def _take(self, ways: Iterable[Array | None]) -> None:
         """Accept the first of several trajectories that passes the check of plans."""
         best = next(sound(self._problem, self._request, ways), None)
-        if best is not None:
+        if best is not None and best[0] < self.cost:
             self.cost, self.x = best
 
     @property
