@@ -25,7 +25,9 @@ def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
     """
     with suppress(TypeError, ValueError, OverflowError):
         known = numbers_of(value, culprit) if isinstance(value, list) else value
-        array = np.array(known, dtype=float)
+        array = np.asarray(known, dtype=float)
+        if array is known and (array.flags.writeable or array.base is not None):
+            array = array.copy()  # nobody else may change it
         fits = array.ndim == 1 if shape == (-1,) else array.shape == shape
         if fits and np.isfinite(array).all():
             return sealed(array)
