@@ -65,7 +65,7 @@ from orbimpc_ros.mpc.search.shor import (
     priced_branching,
 )
 from orbimpc_ros.mpc.search.tree import KEY, MOST_ARCS, branch, plant, take_better, tree_for
-from orbimpc_ros.mpc.solve.request import Found, Method, Request, general
+from orbimpc_ros.mpc.solve.request import Found, Method, Request
 
 # In Tree.counts: node whose climb ended last; whether a descent from there is due; next start.
 FROM, DUE, BEGIN = range(3, 6)
@@ -231,7 +231,9 @@ class RoundFloor(TreeSearch):
 
     @cached_property
     def _general(self) -> Method:
-        return general(self._problem, self._tolerance)
+        from orbimpc_ros.mpc.solve.branch_and_bound import BranchAndBound  # slow to import
+
+        return BranchAndBound(self._problem, self._tolerance)
 
     @staticmethod
     def solves(problem: Problem) -> bool:

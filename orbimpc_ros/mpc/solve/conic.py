@@ -103,10 +103,7 @@ def run(
 def _settings(tolerance: float) -> clarabel.DefaultSettings:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_feas = tolerance
-    settings.tol_gap_abs = tolerance
-    settings.tol_gap_rel = tolerance
-    settings.reduced_tol_feas = REDUCED
-    settings.reduced_tol_gap_abs = REDUCED
-    settings.reduced_tol_gap_rel = REDUCED
+    for name in ('tol_feas', 'tol_gap_abs', 'tol_gap_rel'):
+        setattr(settings, name, tolerance)
+        setattr(settings, f'reduced_{name}', REDUCED)
     return settings

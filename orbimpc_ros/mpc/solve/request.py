@@ -145,10 +145,3 @@ def method_for(
             made: Method = method(problem, tolerance, coasting=coasting, **given)
             return made
     raise AssertionError('the last method solves every problem')
-
-
-def general(problem: Problem, tolerance: float) -> Method:
-    """Return the last method; its import takes longest."""
-    place, name = METHODS[-1]
-    made: Method = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)(problem, tolerance)
-    return made
