@@ -50,14 +50,8 @@ class ObservedBody(ByContent):
 Track = tuple[ObservedBody, ...]  # the latest observations of a body
 
 
-class ObstacleTracker:
-    """Bodies by name, each extrapolated linearly from its latest sightings."""
-
-    def __init__(self) -> None:
-        self._tracks: dict[str, deque[ObservedBody]] = {}
-
-    def __len__(self) -> int:
-        return len(self._tracks)
+class ObstacleTracker(dict[str, deque[ObservedBody]]):
+    """The latest sightings of each body by its name, from which it is extrapolated linearly."""
 
     def see(self, seen: ObservedBody, fastest: float) -> str:
         """Take in a sighting; return a message if it is unusual, or an empty string.
@@ -68,9 +62,9 @@ class ObstacleTracker:
         Raises:
             BadInput: older than the one before; another place at the same time; too many bodies.
         """
-        if seen.name not in self._tracks and len(self._tracks) >= MOST:
+        if seen.name not in self and len(self) >= MOST:
             raise BadInput('count', seen.name, f'at most {MOST} bodies')
-        track, words = self._tracks.setdefault(seen.name, deque(maxlen=LATEST)), ''
+        track, words = self.setdefault(seen.name, deque(maxlen=LATEST)), ''
         if track:
             last = track[-1]
             if seen.time < last.time:
@@ -87,20 +81,12 @@ class ObstacleTracker:
         track.append(seen)
         return words
 
-    def remove(self, name: str) -> None:
-        """Forget a body, if it is known."""
-        self._tracks.pop(name, None)
-
-    def clear(self) -> None:
-        """Forget every body."""
-        self._tracks.clear()
-
     def current(self, at: float) -> tuple[Track, ...]:
         """Return the tracks of all bodies at a time [s]; drop those whose lifetime is over."""
-        over = [n for n, track in self._tracks.items() if at - track[-1].time > track[-1].lifetime]
+        over = [name for name, (*_, last) in self.items() if at - last.time > last.lifetime]
         for name in over:
-            del self._tracks[name]
-        return tuple(map(tuple, self._tracks.values()))
+            del self[name]
+        return tuple(map(tuple, self.values()))
 
 
 def _hazard(track: Track, at: float, unseen: float) -> MovingObstacle:

@@ -314,7 +314,7 @@ class Inputs:
             self.bodies.clear()
             return ''
         if isinstance(seen, str):
-            self.bodies.remove(seen)
+            self.bodies.pop(seen, None)
             return ''
         stamp, body = seen[0].nanoseconds, seen[1]
         _past(stamp, ros, self.settings.future_tolerance + self.lag)
