@@ -113,6 +113,7 @@ class Inputs:
         displaced: why a goal in another frame is not transformed; otherwise empty.
         bodies: from ``obstacles``.
         altitude: of the last goal on ``goal`` [m]; NaN without one.
+        companions: topics that accompany every odometry message, apart from rare losses.
     """
 
     def __init__(self, settings: PlannerSettings, resolve: Callable[[str], str] = str) -> None:
@@ -126,6 +127,7 @@ class Inputs:
         self.altitude = math.nan
         # Whether a topic had the stamp of recent odometry, the present one last, from the first on.
         self._shared: dict[str, list[bool]] = {topic: [] for topic in (*GOALS, OBSTACLES)}
+        self.companions = list[str]()
 
     def adopt(self, settings: PlannerSettings) -> None:
         """Take over new settings; another kind of forecast starts anew from the last goal."""
@@ -223,8 +225,14 @@ class Inputs:
         if topic in GOALS:
             self.goal_counts[topic] += 1
         if topic == 'odom':
-            for shared in filter(None, self._shared.values()):
-                shared[:] = [*shared[-WINDOW:], False]
+            # A source in lock-step shares stamps from its first message on. A slower one on the
+            # driver's clock has some: waiting would slow the planner down to its rate.
+            self.companions = []
+            for name, shared in self._shared.items():
+                recent = shared[-WINDOW:]
+                if recent and WINDOW * recent.count(False) <= len(recent):
+                    self.companions.append(name)
+                shared[:] = [*recent, False] if recent else []
             if back:
                 self._keep_goal_alone()
                 first = True
@@ -360,19 +368,6 @@ class Inputs:
         """Return the latest stamps of those of the topics that have a message [ns]."""
         latest = self.latest
         return {topic: latest[topic].stamp.nanoseconds for topic in topics if topic in latest}
-
-    @property
-    def companions(self) -> list[str]:
-        """Return the topics that accompany every odometry message, apart from rare losses.
-
-        A source in lock-step does so from its first message on. A slower one that merely shares the
-        driver's clock has some of the stamps: waiting would slow the planner down to its rate.
-        """
-        return [
-            topic
-            for topic, shared in self._shared.items()
-            if len(shared) > 1 and WINDOW * shared[:-1].count(False) < len(shared)
-        ]
 
     @property
     def in_step(self) -> bool:
