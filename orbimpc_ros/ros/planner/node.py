@@ -249,6 +249,7 @@ class PlannerNode(Managed):
         if topic == 'goal':
             goal = inputs.latest['goal']
             self._events.send(goal.value.position, streams=goal.streams)
+            self._publish_events()
         known = inputs.odometry
         measured = known is not before
         # Transforms arrive even while it is inactive.
@@ -261,8 +262,6 @@ class PlannerNode(Managed):
                 self._answer(self._core.decide(*at, stop))
         if known is not None and measured:  # no command waits for this
             self._frame_check.note(known.value)
-        if topic == 'goal':
-            self._publish_events()
 
     def _wait(self) -> None:
         """Let new odometry wait for a while for messages that belong to it."""
