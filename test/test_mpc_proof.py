@@ -112,10 +112,9 @@ def forged(nodes, at, origin=0.0):
     problem = Problem(horizon=3, floor=floor('circle', 0.6), weights=weights)
     rng = np.random.default_rng(1)
     state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
-    tree = one(rng.normal(size=(3, 2)), np.zeros(3))
-    tree = tree._replace(nodes=np.array(nodes), at=np.array(at))
-    origins = np.full(3, origin) if np.any(origin) else tree.origins
-    return Verifier(problem).bound(state, goals, tree._replace(origins=origins))
+    tree, origins = one(rng.normal(size=(3, 2)), np.zeros(3)), np.full(3 * np.any(origin), origin)
+    tree = tree._replace(nodes=np.array(nodes), at=np.array(at), origins=origins)
+    return Verifier(problem).bound(state, goals, tree)
 
 
 def test_a_split_covers_what_it_splits_and_each_node_has_one_parent():
@@ -301,6 +300,9 @@ def test_what_takes_more_work_than_its_length_may_is_refused():
     assert verified(document_of(50, leaves=40)).leaves == 40
     with pytest.raises(Refused, match='work'):  # a leaf counts once for every node that shares it
         verified(document_of(50, leaves=4000))
+    wide = {**document_of(50, leaves=40), 'limits': {'cones': [{**CONE, 'steps': [1] * 1000}]}}
+    with pytest.raises(Refused, match='work'):  # and a cone for every leaf
+        verified(wide)
     with pytest.raises(Refused, match='work'):  # of which every step has places
         verified({**document_of(50), 'limits': {'bodies': [BALL] * 1000}})
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
+from orbimpc_ros.mpc.arrays import Array, sealed
 
 
 class Translation(NamedTuple):
@@ -88,10 +88,7 @@ def step_of(model: Translation, step: float, forward: float) -> Step:
     transition = np.array([[1.0, step], [0.0, model.kept]]) if model.inertial else np.eye(1)
     push, follow = moved(model.push, forward), moved(model.follow, forward)
     blow = moved(model.push, 1) + moved(model.follow, 1)
-    made = Step(transition, push, follow, blow)
-    for each in made:
-        each.setflags(write=False)
-    return made
+    return Step(*map(sealed, (transition, push, follow, blow)))
 
 
 def controls(degree: int, step: float, positions: Array, velocities: Array) -> Array:
@@ -144,7 +141,7 @@ class Maps:
         self.lasting = np.ones(horizon + 1)
         self.lasting[[0, -1]] = 1.0 - late, late
         for each in vars(self).values():
-            each.setflags(write=False)
+            sealed(each)
         self.unit = step * (step * forward) if model.inertial else step * forward
 
 

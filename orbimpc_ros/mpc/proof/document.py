@@ -42,7 +42,8 @@ MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', '
          'forward', 'terminal', 'max_rate')  # fmt: skip
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude')
 MAYBE = ('coasted', 'wanted')  # of the state, or null
-EACH, TERM, PLACE = 100, 12, 60  # [us] of work per number of a leaf, term of a Hessian, place
+# [us] of work per number of a leaf, or cone with it; per term of a Hessian; per place
+EACH, TERM, PLACE = 100, 12, 60
 LEAST_WORK, WORK = 2_000_000, 40  # [us] allowed in any case, and per character of a document
 WORD = 'not proved: claimed by the method only'
 OutOfTime = Callable[[], bool]
@@ -161,13 +162,14 @@ def _leaves(trees: Sequence[ProofTree], *kinds: int) -> int:
 def _work(tree: ProofTree, posed: Posed) -> int:
     """Return an upper bound on the time to verify a tree [us], whose arrays may not fit."""
     count, bodies = posed.problem.horizon, len(posed.limits.bodies)
-    stated = TERM * count**2 + PLACE * bodies * count
+    cones = sum(len(each.steps) for each in posed.limits.cones)
+    stated = TERM * count**2 + PLACE * bodies * count + EACH * cones
     if tree.shor.ndim != 2 or tree.press_end.shape != tree.shor.shape[:1]:
         return stated  # it proves nothing
     rows = tree.nodes[(tree.nodes[:, 0] == LEAF) | (tree.nodes[:, 0] == EMPTY), -1]
     rows = rows[(rows >= 0) & (rows < len(tree.shor))]  # which leaves may share
     pressed = np.clip(np.diff(tree.press_end, prepend=0), 0, tree.press.size)
-    numbers = len(rows) * math.prod(tree.point.shape[1:]) + int(pressed[rows].sum())
+    numbers = len(rows) * (math.prod(tree.point.shape[1:]) + cones) + int(pressed[rows].sum())
     bent = int(np.count_nonzero(np.any(tree.shor[rows] > 0.0, axis=1)))
     work = EACH * numbers + TERM * (bent + (bent > 0)) * count**3 // 6
     return stated + work + len(tree.nodes) * (2 + bodies) * count // 2
