@@ -40,7 +40,7 @@ from orbimpc_ros.mpc.proof import tree as trees
 from orbimpc_ros.mpc.proof.bound import leaf_bound, work_of
 from orbimpc_ros.mpc.proof.document import Posed, certificate_of, refutation, refuted_by
 from orbimpc_ros.mpc.proof.splits import HELD, WHOLE, WRONG, begin, part_of
-from orbimpc_ros.mpc.proof.stated import STEP, Body, Statement, rows_of
+from orbimpc_ros.mpc.proof.stated import Body, Statement, rows_of
 from orbimpc_ros.mpc.proof.tree import ProofTree, one
 from orbimpc_ros.mpc.proof.verify import region_of, tree_in_fractions
 
@@ -471,12 +471,10 @@ class Part:
             if j < 0:
                 continue
             body, levels = self.posed.limits.bodies[j], self.depth - depth
-            if isinstance(body.shape, Ball) and self.n == 2:
-                low, high = self.region.span[depth, choice]
-                if high - low > 3:
-                    continue
-            last = degree if body.of == STEP else len(_on_side(body, k, degree)) - 1
-            number = 4 * (choice - 2 * self.count) + int(self.rng.integers(last + 1))
+            span, rows = self.region.span[depth, choice], _on_side(body, k, degree)
+            if isinstance(body.shape, Ball) and self.n == 2 and span[1] - span[0] > 3:
+                continue
+            number = 4 * (choice - 2 * self.count) + int(self.rng.integers(len(rows)))
             found.append(number + 4 * self.count * len(self.posed.limits.bodies) * levels)
         return np.array(found, np.int64)
 

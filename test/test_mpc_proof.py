@@ -288,8 +288,8 @@ def test_the_speed_of_a_given_rotation_is_not_its_factor():
     known['problem']['rotation_order'] = 2
     known['state']['rotation'] = [[0.3, 0.0], [0.0, 0.3]]
     known['limits'] = {'speeds': {'entry': 0.3, 'change': 0.1}}
-    known['tree'] |= {'nodes': [[SPEED, 4, 1, 2, -1], *[[EMPTY, 0, 0, 0, -1]] * 2]}
-    known['tree'] |= {'at': [0.3, 0.0, 0.0]}
+    nodes = [[SPEED, 4, 1, 2, -1], *[[EMPTY, 0, 0, 0, -1]] * 2]
+    known['tree'] |= {'nodes': nodes, 'at': [0.3, 0.0, 0.0]}
     assert not verified(known).holds
 
 
@@ -300,9 +300,9 @@ def test_what_takes_more_work_than_its_length_may_is_refused():
     assert verified(document_of(50, leaves=40)).leaves == 40
     with pytest.raises(Refused, match='work'):  # a leaf counts once for every node that shares it
         verified(document_of(50, leaves=4000))
-    wide = {**document_of(50, leaves=40), 'limits': {'cones': [{**CONE, 'steps': [1] * 1000}]}}
+    cones = {'cones': [{**CONE, 'steps': [1] * 1000}]}
     with pytest.raises(Refused, match='work'):  # and a cone for every leaf
-        verified(wide)
+        verified({**document_of(50, leaves=40), 'limits': cones})
     with pytest.raises(Refused, match='work'):  # of which every step has places
         verified({**document_of(50), 'limits': {'bodies': [BALL] * 1000}})
 
