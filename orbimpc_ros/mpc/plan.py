@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, Sealed, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, Sealed
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, log, matrix, project_all
 from orbimpc_ros.mpc.model.dynamics import Trajectory, flown
 from orbimpc_ros.mpc.outcome import Status
@@ -53,7 +53,7 @@ UNPROVED = Proof(-np.inf, 0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(Trajectory, Sealed):
+class Plan(Trajectory, ByContent):
     """A trajectory over N steps with its certificate. All arrays are read-only.
 
     Attributes:
@@ -109,7 +109,9 @@ class Plan(Trajectory, Sealed):
     @cached_property
     def speed_fraction(self) -> Array:
         """Return |R_k e1|, shape (N + 1,)."""
-        return sealed(np.linalg.norm(self.rotations[:, :, 0], axis=1))
+        sizes: Array = np.linalg.norm(self.rotations[:, :, 0], axis=1)
+        sizes.setflags(write=False)
+        return sizes
 
     @property
     def projection_distance(self) -> Array:
@@ -130,6 +132,8 @@ def assemble(
         given.append(state.coasted)  # the body turns there whatever the thrust
     turned = project_all(rotations[len(given) - 1 :], given[-1], projection)
     made, projected = flown(problem, state, goals, rotations), np.concatenate([given, turned])
+    for array in (made.positions, made.velocities, made.rotations, x, projected):
+        array.setflags(write=False)
     return Plan(**vars(made), x=x, projected=projected, projection=projection, proof=proof)
 
 
