@@ -184,7 +184,14 @@ class Planner:
         goal_timeout: float = math.inf,
     ) -> None:
         self._reserve = number(reserve, 'reserve', 0.0)
-        self._max_rate, problem = problem.max_rate, _planned(problem)
+        self._max_rate = problem.max_rate
+        orders = problem.dimension, problem.rotation_order, problem.inertial
+        limited = problem.floor.exists or problem.has_cones or problem.terminal == 'constraint'
+        if orders == (3, 1, True) and not limited:
+            # In plans, thrust in space may turn faster than the vehicle does; commands may not. Its
+            # chord would also limit changes of the thrust's size, which take no turn, and with it
+            # no search among boxes would finish in time.
+            problem = replace(problem, max_rate=0.0)
         self._still = tuple[MovingObstacle, ...]()
         if reserve and not capture_radius:
             self._still = tuple(map(MovingObstacle.drifting, problem.obstacles))
@@ -595,16 +602,3 @@ class Planner:
         state = measured if isinstance(measured, State) else None
         fallback, cause = Fallback.SAFE_COMMAND, reason.cause
         return Decision(status, reason.words, state, None, command, fallback, cause=cause)
-
-
-def _planned(problem: Problem) -> Problem:
-    """Return the problem that plans solve: thrust in space may turn faster than the vehicle does.
-
-    Commands still obey ``max_rate``. In plans, its chord would also limit changes of the thrust's
-    size, which take no turn, and with it no search among boxes would finish in time.
-    """
-    orders = problem.dimension, problem.rotation_order, problem.inertial
-    limited = problem.floor.exists or problem.has_cones or problem.terminal == 'constraint'
-    if orders != (3, 1, True) or limited:
-        return problem
-    return replace(problem, max_rate=0.0)

@@ -375,8 +375,6 @@ class Fits:
 
     def _seek(self, family: int, middle: int) -> None:
         """Place a family at the frequency of the best swing, if that fits better."""
-        if self._searched < SWINGS_FROM:
-            return
         times, seen = (each[: self._searched] for each in self.past)
         rate, misfit = best_swing((times, seen), middle)
         if not self._rates[family] or misfit < BETTER * self._misfit[family]:
@@ -415,25 +413,20 @@ def evidence_anew(past: Past, lengths: np.ndarray, noises: Array) -> Array:
     """
     latest = slice(-1, -1 - lengths[-1], -1)
     times, places = past[0][latest], past[1][latest]
-    share, scale = noises.T
-    variance, n = scale / share, places.shape[1]
+    (share, scale), n = noises.T[:, :, None], places.shape[1]
     rows = (times - times[0])[:, None] ** np.arange(3.0)
     seen = places - places[0]
     gram = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)[lengths - 1]
     moments = np.cumsum(rows[:, :, None] * seen[:, None, :], axis=0)[lengths - 1]
     square = np.cumsum(np.sum(seen * seen, axis=1))[lengths - 1]
-    prior = variance[:, None] / WIDTHS**2
+    prior = scale / share / WIDTHS**2
     gram[:, range(1, 3), range(1, 3)] += prior[:, 1:]
     factor = np.linalg.cholesky(gram)
     white = np.linalg.solve(factor, moments)
     explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
     spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
-    found = data_evidence(
-        np.maximum(square[:, None] - explained, 0.0),
-        float(n) * lengths[:, None],
-        share[:, None],
-        scale[:, None],
-    )
+    misfit = np.maximum(square[:, None] - explained, 0.0)
+    found = data_evidence(misfit, float(n) * lengths[:, None], share, scale)
     found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS_ANEW
     return np.asarray(np.logaddexp.reduce(found, axis=1))
 
