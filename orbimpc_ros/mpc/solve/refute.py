@@ -95,7 +95,7 @@ def _tried(sought: Case, posed: Posed, out_of_time: OutOfTime | None) -> Iterato
     units, coasting = Units.of(problem), posed.state.coasted is not None
     among = bool(sought.state.hazards)
     search = BranchAndBound(units.problem, TOLERANCE, coasting=coasting, among=among)
-    start, goals = units.state(sought.state), units.lengths(posed.goals)
+    start, goals = units.state(sought.state), posed.goals / units.length
     request = Request(start, goals, None, out_of_time, patient=True)
     tree = search.begun(request).exceeding(float(posed.cost) / units.cost)
     if tree is not None:

@@ -104,10 +104,6 @@ class Units:
             hazards=tuple(each.scaled(*inverse) for each in state.hazards),
         )
 
-    def lengths(self, values: Array) -> Array:
-        """Return lengths [m] in these units."""
-        return values / self.length
-
     def posed(self, tree: ProofTree) -> ProofTree:
         """Return a tree in these units converted to the units of the posed problem."""
         cost, force = self.cost, self.cost / self.length
@@ -247,7 +243,10 @@ class Solver:
 
     def _searched(self, state: State) -> State:
         """Return the state, without hazards if all are out of reach: faster methods then apply."""
-        return clear_of_hazards(self.problem, state) if state.hazards else state
+        if not state.hazards:
+            return state
+        asked = 'searched', self.problem
+        return state.once(asked, lambda: clear_of_hazards(self.problem, state))
 
     def _found(self, asked: Request) -> Found:
         """Return the result of the method, with a reason if it is not what was asked for.
@@ -262,7 +261,7 @@ class Solver:
                 raise Infeasible(reason(self.problem, state, goals))
         method = self._among if state.hazards else self._method
         guess = asked.guess if method.takes_guess else None
-        posed = asked._replace(state=units.state(state), goals=units.lengths(goals), guess=guess)
+        posed = asked._replace(state=units.state(state), goals=goals / units.length, guess=guess)
         try:
             found = method.solve(posed)
         except Infeasible as error:
