@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_256,
-    'orbimpc_ros/mpc': 14_694,
+    'orbimpc_ros': 28_255,
+    'orbimpc_ros/mpc': 14_693,
     'orbimpc_ros/loop': 3_141,
     'orbimpc_ros/ros': 4_040,
     'orbimpc_ros/sim': 2_200,
