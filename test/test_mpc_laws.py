@@ -127,7 +127,7 @@ def test_a_guess_leads_to_no_other_optimum(solved):
 def test_other_units_are_another_way_to_state_the_same(solved):
     (problem, state, goals), plan = solved.case.known, solved.plan
     units, x = Units.of(problem), coordinates(plan.rotations[1:])
-    known = units.problem, units.state(state), units.lengths(goals)
+    known = units.problem, units.state(state), goals / units.length
     plain, scaled = trajectory_of(problem, state, goals, x), trajectory_of(*known, x)
     assert units.cost * scaled.objective == pytest.approx(plain.objective, rel=1e-9)
     np.testing.assert_allclose(
