@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,6 @@ def is_headed(approach: Approach, headings: tuple[Array, Array], share: float) -
     return along >= math.cos(approach.cone) * math.sqrt(heading @ heading)
 
 
-@dataclass
 class Events:
     """Whether a goal has been caught or reached.
 
@@ -62,17 +60,16 @@ class Events:
         arrived: whether it has stayed within the radius for a while, up to now.
     """
 
-    caught: bool = False
-    arrived: bool = False
-    _goal: Array | None = field(default=None, init=False)  # last goal sent
-    _moves: bool = field(default=False, init=False)  # whether it differed from the one before
-    _last: tuple[Odometry, Array] | None = field(default=None, init=False)
-    _entered: float | None = field(default=None, init=False)  # time of entry into the radius [s]
+    def __init__(self) -> None:
+        self._goal: Array | None = None  # last goal sent
+        self._moves = False  # whether it differed from the one before
+        self.begin()
 
     def begin(self) -> None:
         """Start anew, with nothing caught or reached."""
         self.caught = self.arrived = False
-        self._last = self._entered = None
+        self._last: tuple[Odometry, Array] | None = None
+        self._entered: float | None = None  # time of entry into the radius [s]
 
     def send(self, goal: Array, *, streams: bool) -> None:
         """Take in a goal, shape (n,) [m]; one that keeps moving in a stream is not a new one."""
