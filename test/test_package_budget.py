@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_255,
+    'orbimpc_ros': 28_252,
     'orbimpc_ros/mpc': 14_693,
-    'orbimpc_ros/loop': 3_141,
+    'orbimpc_ros/loop': 3_138,
     'orbimpc_ros/ros': 4_040,
     'orbimpc_ros/sim': 2_200,
     'orbimpc_ros/tool': 4_054,
