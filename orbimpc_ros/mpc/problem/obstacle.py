@@ -140,11 +140,6 @@ class MovingObstacle(ByContent):
         moved = still if velocity is None else velocity
         return cls(body, np.array([0.0, 1.0]), np.array([still, moved]))
 
-    @property
-    def dimension(self) -> int:
-        """Return n."""
-        return self.body.dimension
-
     def scaled(self, length: float, time: float) -> MovingObstacle:
         """Return it in units in which lengths and times are larger by these factors."""
         return MovingObstacle(
@@ -161,7 +156,7 @@ class MovingObstacle(ByContent):
         ends = self.times[1:][self.times[1:] > time + SOON]
         ends = ends if len(ends) else np.array([time + 1.0])
         times, shifts = np.append(0.0, ends - time), self.moved(ends) - start
-        shifts = np.concatenate([np.zeros((1, self.dimension)), shifts])
+        shifts = np.concatenate([np.zeros((1, self.body.dimension)), shifts])
         return replace(self, body=self.body.shifted(start), times=times, shifts=shifts)
 
     def depth(self, points: Array, times: Array) -> Array:

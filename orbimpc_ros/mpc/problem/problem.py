@@ -454,16 +454,11 @@ class State(ByContent):
         if commanded is not None:
             number(commanded, 'state.commanded', 0.0, 1.0)
         for each in _instance(hazards, tuple, 'state.hazards'):
-            if _instance(each, MovingObstacle, 'state.hazards').dimension != n:
-                raise BadInput('state.hazards', each.dimension, f'bodies of dimension {n}')
+            if _instance(each, MovingObstacle, 'state.hazards').body.dimension != n:
+                raise BadInput('state.hazards', each.body.dimension, f'bodies of dimension {n}')
         if len(hazards) > MAX_HAZARDS:
             raise BadInput('state.hazards', len(hazards), f'at most {MAX_HAZARDS}')
         return cls(commanded=commanded, hazards=hazards, **made)
-
-    @property
-    def dimension(self) -> int:
-        """Return n."""
-        return len(self.position)
 
     @cached_property
     def _known(self) -> list[tuple[Any, Any]]:
