@@ -420,6 +420,9 @@ def test_what_is_known_is_not_estimated_again():
     watched = Watched(FALLING, given=np.array([0.0, 0.0, -9.0]))
     watched.watch(300)
     np.testing.assert_allclose(watched.found, FALLING.blown, atol=0.15)
+    other = Watched(FALLING, given=np.array([0.0, 0.0, -8.0])).estimator
+    other.continue_from(watched.estimator)
+    np.testing.assert_allclose(other.disturbance, watched.found + [0.0, 0.0, 1.0])
 
 
 @pytest.mark.parametrize('order', [1, 2])
@@ -429,20 +432,17 @@ def test_innovations_are_as_large_as_the_model_says(order):
     problem = Problem(translation_order=order, forward=unit)
     estimator = Compensator(problem, Response(0.5), estimated=True)
     estimator.history.add(Command(0.0, np.zeros(1), np.eye(2)), -1.0)
-    s, p, w = np.zeros(2), np.zeros(2), np.zeros(2)
-    found = []
+    (s, p, w), found = np.zeros((3, 2)), []
     for k in range(3000):
         for _ in range(10):
             gust = 0.05 * unit * np.sqrt(0.01) * rng.normal(size=2)
-            w = w + drift * unit * np.sqrt(0.01) * rng.normal(size=2)
-            w = np.clip(w, -2.0, 2.0)
+            w = np.clip(w + drift * unit * np.sqrt(0.01) * rng.normal(size=2), -2.0, 2.0)
             if order == 1:
                 s = s + 0.01 * w + gust
             else:
                 s, p = s + 0.01 * p, p + 0.01 * w + gust
         seen, speed = (v + 0.01 * unit * rng.normal(size=2) for v in (s, p))
-        at = Odometry(0.1 * (k + 1), seen, np.eye(2), speed, np.zeros(1))
-        estimator.observe(at)
+        estimator.observe(Odometry(0.1 * (k + 1), seen, np.eye(2), speed, np.zeros(1)))
         found.append(estimator.innovation)
     typical = float(np.sqrt(np.mean(np.square(found[50:]))))
     # The larger of two axes counts: the mean of the larger of two chi-squares, over their mean.
