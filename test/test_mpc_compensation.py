@@ -422,7 +422,7 @@ def test_what_is_known_is_not_estimated_again():
     np.testing.assert_allclose(watched.found, FALLING.blown, atol=0.15)
     other = Watched(FALLING, given=np.array([0.0, 0.0, -8.0])).estimator
     other.continue_from(watched.estimator)
-    np.testing.assert_allclose(other.disturbance, watched.found + [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(other.disturbance, watched.found + np.array([0.0, 0.0, 1.0]))
 
 
 @pytest.mark.parametrize('order', [1, 2])
