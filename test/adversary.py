@@ -392,8 +392,9 @@ class Part:
     def _patched(self, choice: int, way: np.ndarray) -> None:
         """Split directions in space, if one is strictly inside a triangle."""
         whole = self.region.part[self.depth, choice] == WHOLE
-        kind, parts = (trees.PATCHES, 20) if whole else (trees.QUARTERS, 4)
-        triangles = self.stated.patches[:20]
+        caps = self.stated.patches[20:]
+        triangles = caps if len(caps) and _sometimes(self.rng, 0.7) else self.stated.patches[:20]
+        kind, parts = (trees.PATCHES, len(triangles)) if whole else (trees.QUARTERS, 4)
         if not whole:
             a, b, c = self.region.corners[self.depth, choice]
             ab, bc, ca = a + b, b + c, c + a
@@ -409,9 +410,8 @@ class Part:
         body, choice = self.posed.limits.bodies[j], (2 + j) * self.count + k
         points = self._points(body, k)
         if isinstance(body.shape, Box):
-            low, high = body.shape.minimum - body.grown[k], body.shape.maximum + body.grown[k]
-            outside = np.concatenate([low - points, points - high], axis=1).min(axis=0)
-            sides = np.flatnonzero(outside > 1e-12)
+            outside = body.shape.clearances(points).min(axis=0)
+            sides = np.flatnonzero(outside - body.grown[k] > 1e-12)
             if len(sides):
                 self.cut(trees.SIDES, choice, 2 * self.n, 0.0, int(self.rng.choice(sides)))
             return

@@ -338,9 +338,8 @@ def test_the_end_of_a_step_on_a_side_of_a_ball_proves_the_same_with_its_start_or
 
 
 def test_a_cone_bounds_the_headings_of_its_own_steps_alone():
-    problem = Problem(
-        horizon=2, weights=Weights(position=0.0, input=1.0, terminal=0.0, attitude=1.0)
-    )
+    weights = Weights(position=0.0, input=1.0, terminal=0.0, attitude=1.0)
+    problem = Problem(horizon=2, weights=weights)
     start, goals = State.at(np.zeros(2), np.eye(2), wanted=-np.eye(2)), np.zeros((2, 2))
     turned = np.array([[1.0, 0.0], [-1.0, 0.0]]) / 3.0  # ahead, and then back
     leaf = one(np.array([[0.5, 0.0], [0.0, 0.0]]), np.zeros(2))  # the best that ends ahead

@@ -47,6 +47,7 @@ def values():
     state = State.at([0.0, 0.0], np.eye(2))
     plan = Solver(Problem()).solve(state, np.ones((5, 2)))
     decision = Planner(Problem()).step(Snapshot(measured(), np.ones((5, 2))))
+    decision = dataclasses.replace(decision, refutation={'goals': [[1.0]]})
     return [problem, Weights(), state, plan, plan.proof, measured(), decision, decision.command]
 
 

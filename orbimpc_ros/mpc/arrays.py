@@ -136,6 +136,8 @@ class Sealed(ByContent):
 def _comparable(value: object) -> object:
     if isinstance(value, Mapping):
         return frozenset((key, _comparable(each)) for key, each in value.items())
+    if isinstance(value, list):
+        return tuple(map(_comparable, value))
     if not isinstance(value, np.ndarray):
         return value
     return value.shape, (value + 0.0).tobytes()  # adding zero turns -0.0 into 0.0, which it equals
