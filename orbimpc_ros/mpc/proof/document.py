@@ -42,8 +42,7 @@ MODEL = ('dimension', 'rotation_order', 'translation_order', 'discretisation', '
          'forward', 'terminal', 'max_rate')  # fmt: skip
 STATE = ('position', 'velocity', 'disturbance', 'rotation', 'rotation_rate', 'attitude')
 MAYBE = ('coasted', 'wanted')  # of the state, or null
-# [us] of work per number of a leaf, or cone with it; per term of a Hessian; per place
-EACH, TERM, PLACE = 100, 12, 60
+EACH, TERM, PLACE = 100, 12, 60  # [us] of work per number of, or cone at, a leaf; term; place
 LEAST_WORK, WORK = 2_000_000, 40  # [us] allowed in any case, and per character of a document
 WORD = 'not proved: claimed by the method only'
 OutOfTime = Callable[[], bool]

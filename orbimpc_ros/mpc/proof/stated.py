@@ -37,7 +37,7 @@ from orbimpc_ros.mpc.proof.flight import (
     StepMap,
     flown_by,
 )
-from orbimpc_ros.mpc.proof.tree import POINTS
+from orbimpc_ros.mpc.proof.tree import NOWHERE, POINTS
 
 NARROW = 1e-9  # [rad] margin to a turn, or half a turn, of sectors treated as smaller
 WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles
@@ -47,7 +47,6 @@ UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
 END, ENDS, STEP = PARTS = 'end', 'ends', 'step'  # what is on one side of a body
 UP = [0.0, 0.0, 1.0]
 SPEEDS = 'none', 'circle', 'polygon'  # floors whose least speeds are known
-NOTHING: Array = np.zeros(0)
 Rows = Any  # an array of numbers, of floats or of fractions
 
 
@@ -100,7 +99,7 @@ class Limits(NamedTuple):
 
     cones: tuple[Cone, ...] = ()
     glide_slope: float = 0.0
-    eased: Array = NOTHING
+    eased: Array = NOWHERE
     bodies: tuple[Body, ...] = ()
     entry: float = 0.0
     change: float = math.inf
@@ -308,7 +307,7 @@ class Statement:
         plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
         if plain and not (problem.obstacles or state.hazards):
             return NO_LIMITS
-        cones, eased = list[Cone](), NOTHING
+        cones, eased = list[Cone](), NOWHERE
         if problem.has_cones:
             tilted, eased = relief(problem, state, goals)
             if problem.tilt:
