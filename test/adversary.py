@@ -23,7 +23,6 @@ from orbimpc_ros.mpc.errors import OrbimpcError
 from orbimpc_ros.mpc.geometry.faces import normals
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, nearest
 from orbimpc_ros.mpc.geometry.separation import separation
-from orbimpc_ros.mpc.model.translation import controls
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, assemble
 from orbimpc_ros.mpc.problem import (
     Approach,
@@ -369,10 +368,14 @@ class Part:
             self._beside(k, off)
 
     def _lifted(self) -> np.ndarray:
-        """Return the directions of R_1 e1..R_N e1, unwrapped from the initial one [rad]."""
-        _, *headings = self.drawn.plan.rotations[:, :, 0]
-        angles = [math.atan2(y, x) for x, y in headings]
-        return np.unwrap([float(self.stated.low), *angles])[1:]
+        """Return the directions of R_1 e1..R_N e1; unwrapped if turns are limited [rad]."""
+        z, state = self.drawn.plan.rotations[:, :, 0], self.posed.state
+        angles = np.arctan2(z[1:, 1], z[1:, 0])
+        if self.stated.turn < 0:
+            return angles
+        decided = self.posed.problem.rotation_order == 2 and state.coasted is not None
+        ahead = (state.coasted if decided else state.attitude)[:, 0]
+        return np.unwrap([math.atan2(ahead[1], ahead[0]), *angles])[1:]
 
     def _directed(self, choice: int, angle: float, below: float, above: float) -> None:
         """Split directions in the plane on both sides of one; into arcs if all are allowed."""
@@ -428,7 +431,10 @@ class Part:
         """Return the control points of a step on one side of a body, relative to the body."""
         plan, problem = self.drawn.plan, self.posed.problem
         degree = problem.translation.degree
-        points = controls(degree, problem.step, plan.positions, plan.velocities)[k]
+        (start, end), (out, back) = plan.positions[k : k + 2], plan.velocities[k : k + 2]
+        lead = problem.step / degree
+        inner = [[], [start + lead * out], [start + lead * out, end - lead * back]][degree - 1]
+        points = np.array([start, *inner, end])
         first, last = body.shifts[k : k + 2]
         points = points - first - np.linspace(0.0, 1.0, len(points))[:, None] * (last - first)
         return points[_on_side(body, k, degree)]
