@@ -183,8 +183,28 @@ def test_parameters_that_no_node_takes_are_told(tmp_path, monkeypatch, name, sec
     monkeypatch.setattr(sys, 'argv', words)
     told = [*(f'section {each} in {file}' for each in sections), *(f'-p {each}' for each in rules)]
     assert unused(given_sections(), name, 'planner') == told
+    file.write_text('/uav3/planner: {ros__parameters: {step: 1.0}}')  # and none for this node
+    assert unused(given_sections(), name, 'planner')[0] == f'section /uav3/planner in {file}'
     monkeypatch.setattr(sys, 'argv', ['planner'])
     assert unused(given_sections(), name, 'planner') == []
+
+
+@pytest.mark.parametrize(
+    ('values', 'told'),
+    [
+        (' {obstacles: [[0.0, 0.0, 1.0, 1.0]]}', '2: obstacles is a list of seq; needed: [0.0, '),
+        (' {wind: [1, 2.5]}', '2: wind is a list of float and int; needed: [0.0, 1.0]'),
+        ('\n  step: 0.2\n  step: 0.3', '3: step is given twice; keep one of them'),
+        ('\n  step:', '3: step has no value; '),
+    ],
+)
+def test_what_rcl_drops_or_overwrites_is_refused(tmp_path, monkeypatch, values, told):
+    """Otherwise a wall in a nested list would be none, without a word."""
+    file = tmp_path / 'params.yaml'
+    file.write_text(f'planner: ros__parameters:{values}'.replace(': ', ':\n ', 1))
+    monkeypatch.setattr(sys, 'argv', ['planner', '--ros-args', '--params-file', str(file)])
+    with pytest.raises(BadInput, match=re.escape(f'{file} line {told}')):
+        given_sections()
 
 
 def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_path):

@@ -422,8 +422,7 @@ def path_message(stamp: Stamp, step: float, poses: Iterable[Pose], after: float 
 
 def goal_message(stamp: Stamp, position: Array) -> PoseStamped:
     """Return the position of the goal, shape (n,) [m], in the world frame."""
-    head = header(stamp.nanoseconds, stamp.frames.world)
-    return PoseStamped(header=head, pose=pose(position))
+    return PoseStamped(header=header(stamp.nanoseconds, stamp.frames.world), pose=pose(position))
 
 
 def odometry_message(stamp: Stamp, odometry: Odometry) -> OdometryMessage:
@@ -468,13 +467,8 @@ def diagnostics(
 
 KINDS = {Marker.CUBE: 'CUBE', Marker.SPHERE: 'SPHERE', Marker.CYLINDER: 'CYLINDER'}
 FLAT = 0.02  # [m] height of planar bodies
-GREEN, BLUE, RED, GREY, ORANGE = (
-    (0.1, 0.6, 0.3, 1.0),
-    (0.1, 0.4, 0.9, 1.0),
-    (0.8, 0.2, 0.1, 0.6),
-    (0.5, 0.5, 0.5, 0.5),
-    (0.9, 0.5, 0.1, 1.0),
-)
+GREEN, BLUE, RED = (0.1, 0.6, 0.3, 1.0), (0.1, 0.4, 0.9, 1.0), (0.8, 0.2, 0.1, 0.6)
+GREY, ORANGE = (0.5, 0.5, 0.5, 0.5), (0.9, 0.5, 0.1, 1.0)
 LINE = 0.02  # width of lines, in units of the scene's unit length
 LIFETIME = 3.0  # [steps] after which markers of a dead node vanish
 

@@ -369,9 +369,9 @@ LAST_RESORT = 30.0  # [s] after which a process that hangs on exit is ended
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 SECURITY = 'ROS_SECURITY_ENABLE'
 INDENT = ' ' * 6  # of descriptions of parameters in --help
-KNOWN_WORDS = 'arguments of ROS, such as --params-file FILE, -p NAME:=VALUE, -r FROM:=TO'
-USAGE = """\
-arguments of ROS: --params-file FILE, -p NAME:=VALUE, -r FROM:=TO, -r __ns:=/NS
+KNOWN_WORDS = 'arguments of ROS: --params-file FILE, -p NAME:=VALUE, -r FROM:=TO, -r __ns:=/NS'
+USAGE = f"""\
+{KNOWN_WORDS}
 exit codes: 0 done or ended by a signal, 1 failed, 2 bad input
 
 parameters (name, default, meaning):"""
@@ -426,8 +426,7 @@ def executor_named(name: str, context: Context | None = None) -> Executor:
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
-        allowed = 'wait_set: this rclpy is older than 7.1.4'
-        raise BadInput('executor', name, allowed) from None
+        raise BadInput('executor', name, 'wait_set: this rclpy is older than 7.1.4') from None
     return EventsExecutor(context=context)
 
 
@@ -446,8 +445,7 @@ def run(node_type: type[Managed]) -> int:
                 stack.enter_context(get_default_context())  # unlike rclpy.init, without signals
             except rclpy_implementation.UnknownROSArgsError as error:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
-                hint = f'allowed: {KNOWN_WORDS}'
-                raise BadInput.stating('command line', unknown, hint) from None
+                raise BadInput.stating('command line', unknown, f'allowed: {KNOWN_WORDS}') from None
             except RuntimeError as error:  # malformed rule, parameter file or domain
                 hint = f'; allowed: {KNOWN_WORDS}' if 'rule' in str(error) else ''
                 return _ended(f'{error}{hint}', BAD_INPUT)
@@ -480,8 +478,7 @@ def _ended(error: object, code: int) -> int:
     """Print an error in one line, with the requirements of security if enabled; return the code."""
     line = ' '.join(str(error).split())
     if os.environ.get(SECURITY) == 'true':
-        needs = 'ROS_SECURITY_KEYSTORE and a middleware with security'
-        line = f'{line} ({SECURITY}=true needs {needs})'
+        line += f' ({SECURITY}=true needs ROS_SECURITY_KEYSTORE and a middleware with security)'
     print(line, file=sys.stderr)
     return code
 
@@ -502,8 +499,7 @@ def _require_ros_words(node_type: type[Managed]) -> None:
     _, plain = parser.parse_known_args(remove_ros_args(args=sys.argv)[1:])
     if plain:
         problem = f'{shlex.join(plain)} must follow --ros-args'
-        hint = f'allowed: --ros-args, then {KNOWN_WORDS}'
-        raise BadInput.stating('command line', problem, hint)
+        raise BadInput.stating('command line', problem, f'allowed: --ros-args, then {KNOWN_WORDS}')
 
 
 def _live(node: Managed) -> int:

@@ -12,8 +12,9 @@ import math
 import re
 import sys
 from array import array
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
+from fnmatch import fnmatchcase
 from functools import cached_property
 from importlib import import_module
 from itertools import dropwhile, pairwise
@@ -188,7 +189,8 @@ def refuse_unknown(given: Iterable[str], specs: Iterable[ParameterSpec]) -> None
 def unused(given: Iterable[tuple[str, str]], full: str, kind: str) -> list[str]:
     """Return sections of a node's parameter files, and words after -p, that are for no node.
 
-    Sections in other namespaces belong to other vehicles, but not those without a namespace.
+    Sections in other namespaces belong to other vehicles, but not those without a namespace, nor
+    any of a file that has none for this node.
 
     Args:
         given: sections of files, each with its file.
@@ -197,9 +199,11 @@ def unused(given: Iterable[tuple[str, str]], full: str, kind: str) -> list[str]:
     """
     name = full.rpartition('/')[2]
     known = {name, '*', '**', 'planner', 'sim'} - ({kind} - {name})  # one file may serve both
+    used = {file for each, file in given if fnmatchcase(full, each.replace('/**', '*'))}
     found = []
     for section, file in given:
-        if section.rpartition('/')[2] not in known or f'/{name}' == section != full:
+        last = section.rpartition('/')[2]
+        if file not in used or last not in known or f'/{name}' == section != full:
             found.append(f'section {section} in {file}')
     for flag, word in pairwise(sys.argv):
         owner, colon, _ = word.partition(':=')[0].rpartition(':')
@@ -212,19 +216,37 @@ def given_sections() -> list[tuple[str, str]]:
     """Return the sections of this process's parameter files, each with its file.
 
     Raises:
-        BadInput: a file cannot be read or has none; rcl would also log its parser's error.
+        BadInput: a file cannot be read, has none, or has values that rcl would misread.
     """
     found = []
     for flag, file in pairwise(dropwhile('--ros-args'.__ne__, sys.argv)):
         if flag == '--params-file':
             try:
-                with Path(file).open(errors='replace') as stream:
-                    tree = yaml.load(stream, yaml.BaseLoader)  # tags are ignored, as in rcl
+                text = Path(file).read_text(errors='replace')
+                tree = yaml.load(text, yaml.BaseLoader)  # tags are ignored, as in rcl
             except (OSError, yaml.YAMLError) as error:
                 why = ' '.join((getattr(error, 'strerror', None) or str(error)).split())
                 raise BadInput.stating(file, 'unreadable', why) from None
             found += [(title, file) for title, _ in sections(tree or {}, file)]
+            for at, problem, hint in _flaws(yaml.compose(text, yaml.SafeLoader)):
+                raise BadInput.stating(f'{file} line {at.start_mark.line + 1}', problem, hint)
     return found
+
+
+def _flaws(node: Any, name: str = '') -> Iterator[tuple[Any, str, str]]:
+    """Yield what rcl drops, overwrites, or refuses in words of its own: place, problem, hint."""
+    if isinstance(node, yaml.MappingNode):
+        names = [key.value for key, _ in node.value]
+        for key, value in node.value:
+            if names.count(key.value) > 1:
+                yield key, f'{key.value} is given twice', 'keep one of them'
+            yield from _flaws(value, key.value)
+    elif isinstance(node, yaml.SequenceNode):
+        kinds = {each.tag.rpartition(':')[2] for each in node.value}
+        if kinds & {'seq', 'map'} or kinds >= {'int', 'float'}:
+            yield node, f'{name} is a list of {" and ".join(sorted(kinds))}', 'needed: [0.0, 1.0]'
+    elif node and not node.value and node.style is None:
+        yield node, f'{name} has no value', 'give it one, or leave it out'
 
 
 def sections(tree: Any, file: str, above: str = '') -> list[tuple[str, dict[str, Any]]]:
@@ -251,8 +273,7 @@ def vector(numbers: tuple[float, ...], name: str, dimension: int) -> Array:
         BadInput: a wrong number of values; ``name`` is the parameter's.
     """
     if not dimension <= len(numbers) <= 3:
-        wanted = '3 numbers' if dimension == 3 else '2 or 3 numbers'
-        raise BadInput(name, list(numbers), wanted)
+        raise BadInput(name, list(numbers), '3 numbers' if dimension == 3 else '2 or 3 numbers')
     return np.array(numbers[:dimension], dtype=float)
 
 
@@ -324,8 +345,7 @@ class VehicleParameters:
     def disturbance(self) -> Array:
         """Return the known wind or acceleration, including gravity, shape (n,)."""
         if self.gravity and (self.dimension, self.translation_order) != (3, 2):
-            allowed = '0 unless dimension is 3 and translation_order 2'
-            raise BadInput('gravity', self.gravity, allowed)
+            raise BadInput('gravity', self.gravity, '0 unless dimension 3, translation_order 2')
         known = vector(self.wind, 'wind', self.dimension)
         known[-1] -= self.gravity
         return sealed(known)

@@ -370,11 +370,6 @@ class Inputs:
         return {topic: latest[topic].stamp.nanoseconds for topic in topics if topic in latest}
 
     @property
-    def in_step(self) -> bool:
-        """Return True if goals come with odometry, as from a simulator that waits for answers."""
-        return self._time in self.stamps(*GOALS).values() or bool(self.companions)
-
-    @property
     def complete(self) -> bool:
         """Return True if nothing is missing, and all messages that odometry waits for are here.
 
@@ -596,7 +591,8 @@ class Core:
             self.planner.start_afresh()  # the clock of odometry was set back
         heard, self.seen = self.inputs.heard, snapshot
         clock, end = self._clock, math.inf if self._unlimited else begun + self.settings.deadline
-        if self._counted and self.inputs.in_step:
+        same = self.inputs._time in heard['goal_stamps'].values()
+        if self._counted and (same or self.inputs.companions):  # a simulator waits for answers
             # This clock advances with each reading, of which a search takes one after each part:
             # its limit is the same on every machine, however busy.
             clock = (LOOK * looks for looks in itertools.count(1)).__next__

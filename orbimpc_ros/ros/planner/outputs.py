@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.model.dynamics import translation_rollout
 from orbimpc_ros.mpc.outcome import Fallback, Status
 from orbimpc_ros.mpc.plan import Command, stop
 from orbimpc_ros.mpc.problem import Problem, State
-from orbimpc_ros.mpc.proof.document import Document, certificate_of, text_of
+from orbimpc_ros.mpc.proof.document import certificate_of, text_of
 from orbimpc_ros.mpc.sensitivity import explained
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import ERROR, OK, WARN, Stamp, diagnostics, plan_markers
@@ -163,17 +163,12 @@ def report_messages(
         still = settings.problem.obstacles  # hazards as well if a reserve is kept from them
         moving = tuple(each for each in decision.state.hazards if each.body not in still)
         yield 'plan_markers', plan_markers(stamp, settings.problem, decision.plan, moving)
-    for proof in _proofs(decision) if 'certificate' in heard else ():
-        yield 'certificate', UInt8MultiArray(data=array('B', text_of(proof).encode()))
-
-
-def _proofs(decision: Decision) -> Iterator[Document]:
-    """Yield the proof of the plan's bound, and that of infeasibility or of no earlier catch."""
-    case, plan = decision.case, decision.plan
-    if case is not None and plan is not None and plan.proof.tree and plan.proof.lower_bound > 0.0:
-        yield certificate_of(*case.known, plan.proof)
-    if decision.refutation is not None:
-        yield decision.refutation
+    if 'certificate' in heard:  # of the plan's bound; of infeasibility, or of no earlier catch
+        case, plan, proofs = decision.case, decision.plan, [decision.refutation]
+        if case and plan and plan.proof.tree and plan.proof.lower_bound > 0.0:
+            proofs.insert(0, certificate_of(*case.known, plan.proof))
+        for proof in filter(None, proofs):
+            yield 'certificate', UInt8MultiArray(data=array('B', text_of(proof).encode()))
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:

@@ -345,8 +345,7 @@ class ArduPlane(Wing):
 
     def _publish(self, airspeed: float, heading: float, turn: float, altitude: float) -> None:
         """Send the commands of a setpoint in sequence; a new setpoint waits for their end."""
-        busy = self._due and self._node.steady_now() - self._asked < REFUSALS
-        if busy:
+        if self._due and self._node.steady_now() - self._asked < REFUSALS:  # busy
             return
         sideways, speed = airspeed * turn, self._share * airspeed
         ahead = math.degrees(bearing(heading + AHEAD * sideways / GRAVITY)) % 360.0
