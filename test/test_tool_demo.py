@@ -295,7 +295,7 @@ def test_ropes_are_drawn_from_the_seed_alone():
 
 
 def test_what_is_set_holds_for_every_vehicle_and_the_rest_is_read_back_by_namespace():
-    values, own = demo.fleet(3, ['rope.frequency=0.25', 'seed=7'])
+    values, own = demo.fleet(3, ['rope.frequency = 0.25', 'seed=7'])
     assert values['rope.frequency'] == 0.25
     text = settings.text(values, own)
     for name, drawn in vehicles('fleet', 3, 7).items():

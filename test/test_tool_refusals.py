@@ -155,6 +155,7 @@ BAD_PARAMETERS = {
     'a mapping for a number': ('/**: {ros__parameters: {step: {a: 1}}}', 'step.a'),
     'nothing for a number': ('/**: {ros__parameters: {step: null}}', 'step is None'),
     'words in a list': ('/**: {ros__parameters: {obstacles: [a]}}', 'obstacles'),
+    'only the simulator': ('/**/sim: {ros__parameters: {seed: 3}}', 'for the simulator alone'),
     'a list in a list': ('/**: {ros__parameters: {obstacles: [[1.0]]}}', 'obstacles'),
 }
 

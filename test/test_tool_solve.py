@@ -138,14 +138,14 @@ BAD = {
 
 
 BAD_TEXT = {
-    'empty': ('', 'case'),
-    'a list': ('[1, 2]', 'case'),
-    'a word': ('hello', 'case'),
+    'empty': ('', 'problem is '),
+    'a list': ('[1, 2]', 'problem is '),
+    'a word': ('hello', 'problem is '),
     'a tag': ('!!python/object/apply:os.system [ls]', 'malformed'),
     'a date': ('dimension: 2020-01-01', 'dimension'),
     'a key that is a number': ('1: 2', 'not a name'),
     'a key with a line break': ('{"a\\nb": 1}', 'a b'),
-    'control characters': ('{"a\\u001b[31m": 1}', 'case'),
+    'control characters': ('{"a\\u001b[31m": 1}', 'unknown problem field'),
 }
 
 
@@ -168,6 +168,12 @@ def test_a_process_reads_standard_input_and_keeps_tracebacks_to_itself():
     assert json.loads(done.stdout)['status'] == 'optimal'
     assert bad.returncode == cli.BAD_INPUT
     assert bad.stderr == 'orbimpc: horizon is 0; allowed: an integer in [1, 500]\n'
+
+
+def test_a_process_without_output_still_works(tmp_path, monkeypatch):
+    (tmp_path / 'problem').write_text(json.dumps(case(horizon=5)))
+    monkeypatch.setattr(sys, 'stdout', None)  # as after >&-
+    assert cli.main(['solve', str(tmp_path / 'problem')]) == 0
 
 
 @pytest.mark.parametrize('command', cli.COMMANDS)

@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         module = _module(command)
         _report_on_machine_code(command)
         code: int = module.run(**given)
-        sys.stdout.flush()
+        print(end='', flush=True)  # to nowhere if output is closed
         return code
     except OrbimpcError as error:
         _complain(str(error))

@@ -184,8 +184,7 @@ class ProgressLine:
             return
         self._shown, line = shown, f'{min(1.0, done / self._total):4.0%}  {text}'
         line = line[: shutil.get_terminal_size().columns - 1]  # a wrapped line could not be redrawn
-        line = f'\r{line}\x1b[K' if self._live else f'{line}\n'
-        print(line, end='', file=sys.stderr, flush=True)
+        print(f'\r{line}\x1b[K' if self._live else f'{line}\n', end='', file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """End a redrawn line."""

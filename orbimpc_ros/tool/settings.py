@@ -32,8 +32,7 @@ def config(name: str) -> Path:
     Raises:
         BadInput: no such file.
     """
-    found = install.shared(f'config/{name}')
-    if found is None:
+    if (found := install.shared(f'config/{name}')) is None:
         raise BadInput.stating(f'configuration {name}', 'missing', 'install it under config/')
     return found
 
@@ -57,7 +56,7 @@ def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -
     """
     found, given = dict(values), Values()
     for change in changes:
-        name, equals, word = change.partition('=')
+        name, equals, word = map(str.strip, change.partition('='))
         if not equals:
             raise BadInput('--set', change, 'name=value')
         if name not in ROWS:
@@ -100,8 +99,7 @@ def text(values: Values, own: Mapping[str, Values] = {}) -> str:
 
 def _plain(values: Values) -> Values:
     """Return values for YAML, without empty lists, which have no type in ROS."""
-    plain = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
-    return {name: value for name, value in plain.items() if value != []}
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items() if v != ()}
 
 
 def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Values:
@@ -138,7 +136,10 @@ def parameters_of(content: Any, name: str, namespace: str = '') -> Iterator[tupl
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
     """
-    for title, section in sections(content, name):
+    found = sections(content, name)
+    if found and all(title.endswith('/sim') for title, _ in found):
+        raise BadInput.stating(name, 'for the simulator alone', 'add a section "/**/planner"')
+    for title, section in found:
         place, _, node = title.rpartition('/')
         if namespace and place not in ('', '/**', namespace):
             continue

@@ -45,7 +45,7 @@ def run(
         _write(certificate, refuted)
         raise
     found = answer(case, plan, 1e3 * (time.perf_counter() - begin))
-    if as_json or not sys.stdout.isatty():
+    if as_json or not (sys.stdout and sys.stdout.isatty()):
         print(json.dumps(found, indent=1, allow_nan=False))
     else:
         print(table(case, plan, found))

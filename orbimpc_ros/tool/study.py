@@ -112,7 +112,7 @@ def run(
         _fly(done, jobs, folder / FLIGHTS, runs * len(names), cluster, workers)
     rows = {name: [done[name, k] for k in range(runs)] for name in names}
     text = report(draws, rows)
-    (folder / REPORT).write_text(text)
+    (folder / REPORT).write_text(text, encoding='utf-8')
     draw(draws, rows, folder / PICTURE)
     print(text, end='')
     return 0
@@ -290,7 +290,7 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
     """
     content = _content(_file(name))
     values = settings.resolve(content['config'], [*map(str, content['set']), *changes])
-    fixed = {change.partition('=')[0] for change in changes}
+    fixed = {change.partition('=')[0].strip() for change in changes}
     rules = content['draw'] if content['draw'] is not None else _default_rules(values)
     free = {
         parameter: rule

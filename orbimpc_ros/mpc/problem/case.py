@@ -74,7 +74,7 @@ def case_of(mapping: Any) -> Case:
     """
     needed = (*MODEL, 'weights', 'state', 'goal')
     optional = (*EXTRAS, 'floor', 'obstacles', 'approach', 'hazards', 'goal_attitude')
-    known = fields_of(mapping, 'case', needed, optional)
+    known = fields_of(mapping, 'problem', needed, optional)
     problem = _problem(known)
     hazards = _each(known.get('hazards', []), 'hazards', _hazard)
     state = _state(problem, known['state'], known.get('goal_attitude'), hazards)
