@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -66,29 +66,28 @@ class Units:
     def of(cls, problem: Problem) -> Units:
         """Return the natural units: the longest step from rest, a step, the largest curvature."""
         length, time, w = problem.maps.unit, problem.step, problem.weights
-        area = length * length
+        area, paid = length * length, w.length * time * problem.forward
+        # Rotations have no units, so curvatures are the same in all.
+        curved = float(np.abs(np.diag(Condensed(problem).hessian)).max())
+        cost = max(curved, paid) or 1.0
         weights = Weights(
-            position=w.position * area,
+            position=w.position * area / cost,
             # The inputs are first or second derivatives of dimensionless numbers.
-            input=w.input / time ** (2 * problem.rotation_order),
-            length=w.length * time * problem.forward,
-            terminal=w.terminal * area,
-            attitude=w.attitude,
+            input=w.input / time ** (2 * problem.rotation_order) / cost,
+            length=paid / cost,
+            terminal=w.terminal * area / cost,
+            attitude=w.attitude / cost,
         )
         scaled = replace(
             problem,
             step=1.0,
             forward=1.0,
             weights=weights,
-            arrival_weight=problem.arrival_weight * area,
+            arrival_weight=problem.arrival_weight * area / cost,
             max_rate=min(math.pi, problem.max_rate * time),
             max_acceleration=problem.max_acceleration * time * time / length,
             obstacles=tuple(body.scaled(1.0 / length) for body in problem.obstacles),
         )
-        curved = float(np.abs(np.diag(Condensed(scaled).hessian)).max())
-        cost = max(curved, weights.length) or 1.0
-        weights = Weights(*(each * (1.0 / cost) for each in astuple(weights)))
-        scaled = replace(scaled, weights=weights, arrival_weight=scaled.arrival_weight / cost)
         return cls(scaled, length, time, cost)
 
     def state(self, state: State) -> State:
