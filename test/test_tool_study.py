@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -99,7 +100,7 @@ FAR_AWAY = """{about: a, config: retrieval.yaml, set: [], draw: {traffic: {bodie
         ('{about: a, config: retrieval.yaml, set: [], draw: {seed: [0, 9]}}', r'seed is \d\.\d+'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {stepp: [1, 2]}}', 'stepp'),
         ('{about: a, config: retrieval.yaml, set: [], draw: []}', 'draw is'),
-        ('{about: a, config: retrieval.yaml, set: 3, draw: {}}', 'set is 3'),
+        ('{about: a, config: retrieval.yaml, set: 3, draw: {}}', 'set is 3; allowed: a list'),
         ('{about: a, config: retrieval.yaml, set: [3], draw: {}}', '--set is 3'),
         ('{about: a, config: retrieval.yaml, set: [], draw: {}, margin: 1}', 'margin'),
         ('{about: a, config: ./own.yaml, set: [], draw: {}}', 'config is ./own.yaml; allowed'),
@@ -266,6 +267,13 @@ def test_a_scheduler_that_does_not_answer_is_named(address, monkeypatch):
     monkeypatch.setattr(study, 'PATIENCE', 0.5)
     with pytest.raises(BadInput, match='--cluster is'), study.workers(address, 1):
         pass
+
+
+def test_a_server_of_another_kind_is_no_scheduler(monkeypatch):
+    distributed = pytest.importorskip('distributed')
+    # Dask takes the first bytes of HTTP for the length of a message.
+    monkeypatch.setattr(distributed, 'Client', Mock(side_effect=MemoryError))
+    test_a_scheduler_that_does_not_answer_is_named('tcp://127.0.0.1:80', monkeypatch)
 
 
 def test_a_flight_that_ends_with_an_error_is_reported(monkeypatch):

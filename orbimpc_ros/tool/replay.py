@@ -401,8 +401,7 @@ def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> flo
         steps = slice(1, problem.rotation_order + 1)
         shares = itertools.chain(*(each.get('speed_fraction', [])[steps] for each in answers))
         least = min([1.0, *shares])
-        allowed = RATE if quantity == 'body_rate' else ANGLE
-        return allowed / least if least > 0.0 else math.inf
+        return (RATE if quantity == 'body_rate' else ANGLE) / least if least > 0.0 else math.inf
     full = {'speed': problem.forward, 'force': problem.forward * settings.mass}
     return SPEED * full.get(quantity, 0.0)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import number
-from orbimpc_ros.mpc.errors import Infeasible
+from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.proof import document
@@ -30,6 +30,8 @@ def run(
     number(time_limit, '--time-limit', 0.0, above=True)
     if certificate:
         files.folder_at(Path(certificate).parent, '--certificate')
+        if Path(certificate).is_dir():
+            raise BadInput('--certificate', certificate, 'a file')
     case = case_of(files.read(file))
     solver = Solver(case.problem, projection=projection, patient=True)
     if case.state.hazards:

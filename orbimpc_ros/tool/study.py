@@ -26,7 +26,6 @@ the vehicle has them.
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
 import multiprocessing
@@ -236,7 +235,7 @@ def workers(cluster: str | None, count: int | None) -> Iterator[Executor]:
     try:
         client = distributed.Client(cluster, timeout=PATIENCE)
         client.wait_for_workers(1, timeout=PATIENCE)
-    except (OSError, asyncio.TimeoutError, TypeError, ValueError) as error:
+    except Exception as error:  # of any kind, with which it takes what another server answers
         tried = f'{cluster} ({type(error).__name__})'
         raise BadInput('--cluster', tried, 'the address of a scheduler with workers') from None
     with client:
@@ -330,7 +329,7 @@ def _content(file: Path, *above: Path) -> Values:
     known = fields_of(content, str(file), FIELDS)
     for name, kind in FIELDS.items():
         if not isinstance(known[name], kind):
-            raise BadInput(f'{file}: {name}', known[name], 'as in docs/recording.md')
+            raise BadInput(f'{file}: {name}', known[name], f'a {kind.__name__}')
     named = known['config']
     base = file.parent / named if '/' in named else config(named)
     if base.resolve() in (file.resolve(), *above):
