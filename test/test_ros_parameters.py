@@ -154,6 +154,12 @@ def test_bad_parameters_end_a_node_with_one_line_and_code_2(launch, node, bad, l
     assert re.search(re.escape(line), lines[0]), lines
 
 
+def test_two_topics_remapped_to_one_are_told_in_one_line(launch):
+    process = launch('planner', remapped={'odom': '/goal'})
+    assert process.wait() == 2, process.output
+    assert process.output.strip() == '/goal: two types of message; check what is remapped to it'
+
+
 OWN = 'planner:dry_run:=true'
 SECTIONS = """
 /**: {ros__parameters: {step: 1.0}}

@@ -548,8 +548,7 @@ def plan_markers(
     """
     unit = problem.forward * problem.step
     # A shorter plan has fewer arrows: earlier markers are removed.
-    head = header(stamp.nanoseconds, stamp.frames.world)
-    found = [Marker(header=head, action=Marker.DELETEALL)]
+    found = [Marker(header=header(stamp.nanoseconds, stamp.frames.world), action=Marker.DELETEALL)]
 
     def add(name: str, kind: int, color: tuple[float, ...], number: int = 0) -> Marker:
         found.append(marker(stamp, name, number, kind, color, problem.step))

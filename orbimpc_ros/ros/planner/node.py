@@ -24,6 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from orbimpc_ros.loop.capture import Events, VelocityFrameCheck
 from orbimpc_ros.loop.planner import Decision
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.ros import messages
@@ -203,6 +204,10 @@ class PlannerNode(Managed):
         kinds, listening = {topic: message_of(topic) for topic in (*odometry, *INPUTS)}, {}
         kinds |= dict.fromkeys(self._core.inputs.others, message_of(core.PLAN))
         for topic, kind in kinds.items():
+            full = self.resolve_topic_name(topic)
+            ends: Any = (*self.publishers, *self.subscriptions)
+            if any(each.topic_name == full and each.msg_type is not kind for each in ends):
+                raise BadInput.stating(full, 'two types of message', 'check what is remapped to it')
             # Markers add to each other, so that none may be lost; other messages are complete.
             profile = qos(MARKERS) if topic == core.OBSTACLES else LATEST
             callback = self.at_work(self._hear, topic)
@@ -386,8 +391,7 @@ class PlannerNode(Managed):
     def _report(self, decision: Decision) -> None:
         """Publish reports of a decision on topics that have subscribers."""
         known = self.settings, self._stamp, decision, self.get_fully_qualified_name()
-        heard = [*filter(self._is_heard, self._publishers_of)]
-        self._send(outputs.report_messages(*known, heard))
+        self._send(outputs.report_messages(*known, [*filter(self._is_heard, self._publishers_of)]))
 
     def _send(self, content: Iterable[tuple[str, Any]]) -> None:
         for topic, message in content:

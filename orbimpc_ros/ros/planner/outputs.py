@@ -178,8 +178,7 @@ def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array
     attitudes = state.attitude @ np.array([exp(time * command.body_rate) for time in turned])
     fractions = np.full(problem.horizon + 1, command.speed_fraction)
     fractions[0] = min(1.0, float(np.linalg.norm(state.rotation[:, 0])))
-    headings = fractions[:, None] * attitudes[:, :, 0]
-    positions, _ = translation_rollout(problem, state, headings)
+    positions, _ = translation_rollout(problem, state, fractions[:, None] * attitudes[:, :, 0])
     return list(zip(positions, attitudes, strict=True))
 
 

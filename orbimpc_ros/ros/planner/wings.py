@@ -184,8 +184,7 @@ class Wing(ABC):
         return value if self._node.steady_now() - at <= within else otherwise
 
     def _warn(self, problem: str) -> None:
-        line = f'{self.name}: {problem}'
-        self._node.get_logger().warning(line, throttle_duration_sec=QUIET)
+        self._node.get_logger().warning(f'{self.name}: {problem}', throttle_duration_sec=QUIET)
 
     def _listen(self, kind: type, topic: str, callback: Callable[..., None], *known: str) -> None:
         self._node.create_subscription(kind, topic, self._node.guard(callback, *known), LATEST)
@@ -256,8 +255,7 @@ class Px4(Wing):
         place = NED @ np.array([message.x, message.y, message.z], dtype=float)
         velocity = NED @ np.array([message.vx, message.vy, message.vz], dtype=float)
         unit = np.array(other.q, dtype=float)
-        rotation = attitude(unit / np.linalg.norm(unit))
-        self._moved(1000 * stamp, place, velocity, rotation)
+        self._moved(1000 * stamp, place, velocity, attitude(unit / np.linalg.norm(unit)))
 
     def _on_airspeed(self, message: Any) -> None:
         true, calibrated = message.true_airspeed_m_s, message.calibrated_airspeed_m_s
