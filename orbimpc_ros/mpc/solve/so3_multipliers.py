@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 
@@ -104,6 +105,7 @@ class SO3Multipliers:
         return refutable or self.problem.terminal == 'constraint' or self.problem.horizon > EASY
 
     def _build_general(self) -> Relaxed:
+        import_module('scipy.linalg')  # early: its new threads keep a core busy for some 60 ms
         from orbimpc_ros.mpc.solve.program import Program  # imports Clarabel, which is slow
 
         self._general = Program(self.problem, coasting=self._coasting)
