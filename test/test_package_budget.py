@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_241,
-    'orbimpc_ros/mpc': 14_682,
+    'orbimpc_ros': 28_243,
+    'orbimpc_ros/mpc': 14_684,
     'orbimpc_ros/loop': 3_138,
     'orbimpc_ros/ros': 4_040,
     'orbimpc_ros/sim': 2_200,
