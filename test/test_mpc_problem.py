@@ -10,6 +10,7 @@ from plans import assembled
 from problems import CASES, ORDERS, disturbed, floor, goals, weights
 
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
+from orbimpc_ros.mpc.arrays import frozen
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import coordinates
@@ -33,6 +34,15 @@ STILL, GOALS = State.at([0.0, 0.0], np.eye(2)), np.zeros((5, 2))
 DISC = Ball([3.0, 1.0], 0.5)
 DRIFTING = MovingObstacle.drifting(DISC, [0.0, 1.0])
 MOVED = [[0.0, 0.0], [1.0, 0.0]]
+
+
+@pytest.mark.parametrize('shown', [np.asarray, memoryview, partial(np.broadcast_to, shape=2)])
+def test_what_its_owner_may_change_is_copied(shown):
+    owned = np.array([1.0, 2.0])
+    kept = frozen(shown(owned), (2,), 'x')
+    owned[0] = 5.0
+    assert kept.tolist() == [1.0, 2.0]
+    assert frozen(kept, (2,), 'x') is kept
 
 
 def asked(*others, coasting=False, **given):

@@ -25,14 +25,18 @@ def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
     """
     with suppress(TypeError, ValueError, OverflowError):
         known = numbers_of(value, culprit) if isinstance(value, list) else value
-        array = np.asarray(known, dtype=float)
-        if array is known and (array.flags.writeable or array.base is not None):
-            array = array.copy()  # nobody else may change it
+        array: Any = known if _is_sealed(known) else np.array(known, dtype=float)
         fits = array.ndim == 1 if shape == (-1,) else array.shape == shape
         if fits and np.isfinite(array).all():
             return sealed(array)
     sizes = '' if shape == (-1,) else f'{"x".join(map(str, shape))} '
     raise BadInput(culprit, value, f'{sizes}finite numbers')
+
+
+def _is_sealed(value: Any) -> bool:
+    """Return True for an array of floats that nobody can change: it need not be copied."""
+    plain = type(value) is np.ndarray and value.dtype == float and value.base is None
+    return plain and not value.flags.writeable
 
 
 def sealed(array: Array) -> Array:
