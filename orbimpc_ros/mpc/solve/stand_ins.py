@@ -43,11 +43,13 @@ def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
     ahead, first = _begun(problem, state)
     least = float(problem.floor.least(ahead[:, 0]))
     present = float(np.linalg.norm(state.rotation[:, 0]))
-    shares = dict.fromkeys((max(present, least), least, 1.0))
-    for each in [share * ahead for share in shares] if first is None else [first]:
-        yield _along(problem, state, np.tile(each[:, 0], (problem.horizon, 1)))
-    if problem.terminal == 'constraint' and first is None:
-        yield _along(problem, state, least_arriving(problem, state, goals))
+    if first is not None:
+        yield coordinates(np.tile(first, (problem.horizon, 1, 1)))
+    else:
+        for share in dict.fromkeys((max(present, least), least, 1.0)):
+            yield _along(problem, state, np.tile(share * ahead[:, 0], (problem.horizon, 1)))
+        if problem.terminal == 'constraint':
+            yield _along(problem, state, least_arriving(problem, state, goals))
     towards = goals[-1] - adrift(problem, state)
     distance = float(np.linalg.norm(towards))
     if distance > 0.0:
