@@ -34,13 +34,13 @@ from orbimpc_ros.sim.vehicle import ENGINES, Model, Plant
 ALONG_AXES = (0.0, 0.0, 0.0)
 READERS = re.compile(rf'(?P<topic>{TOPIC.pattern})(\s+(?P<count>[1-9]\d?|100))?', TOPIC.flags)
 PLAIN = ('response.speed', 'response.rate', 'gust_time', 'drag', 'gain')  # in continuous time
-PLANAR = ('dimension', 'translation_order', *PLAIN)
+BY_ENGINE = ('dimension', 'translation_order', *PLAIN)  # of every engine
 SET = {'servicer': {'dimension': 3, 'translation_order': 2}}  # by an engine, besides defaults
 FIXED = {  # parameters that do not apply to a vehicle, or that its engine sets
     'discrete': (*PLAIN, 'gust', 'stall_speed', 'odom_rate'),
-    'cessna': PLANAR,
-    'hummingbird': (*PLANAR, 'goal_path_steps', 'rope.frequency', 'rope.velocity'),
-    'servicer': (*PLANAR, 'gust', 'stall_speed'),
+    'cessna': BY_ENGINE,
+    'hummingbird': (*BY_ENGINE, 'goal_path_steps', 'rope.frequency', 'rope.velocity'),
+    'servicer': (*BY_ENGINE, 'gust', 'stall_speed'),
 }
 
 

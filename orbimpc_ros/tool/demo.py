@@ -103,7 +103,7 @@ def fleet(
     values = settings.resolve(file, [*PACED, *changes])
     if values['clock'] == 'lockstep':
         raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
-    given = {change.partition('=')[0].strip() for change in changes} - {'seed'}
+    given = settings.named(changes) - {'seed'}
     drawn = vehicles(scenario, FLEETS[scenario] if count is None else count, values['seed'])
     if values['avoid']:
         values['avoid'] = tuple(f'{namespace}/plan' for namespace in drawn)

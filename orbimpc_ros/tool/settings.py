@@ -46,6 +46,11 @@ def resolve(file: Path, changes: Sequence[str] = ()) -> Values:
     return changed(read(files.read(str(file)), str(file)), changes)
 
 
+def named(changes: Sequence[str]) -> set[str]:
+    """Return the names of the parameters that changes, ``name=value``, set."""
+    return {change.partition('=')[0].strip() for change in changes}
+
+
 def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -> Values:
     """Return the values of all parameters with changes, ``name=value``, validated together.
 

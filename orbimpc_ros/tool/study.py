@@ -289,7 +289,7 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
     """
     content = _content(_file(name))
     values = settings.resolve(content['config'], [*map(str, content['set']), *changes])
-    fixed = {change.partition('=')[0].strip() for change in changes}
+    fixed = settings.named(changes)
     rules = content['draw'] if content['draw'] is not None else _default_rules(values)
     free = {
         parameter: rule

@@ -421,6 +421,11 @@ class Inputs:
     # --- inputs of decisions
 
     @property
+    def in_step(self) -> bool:
+        """Return True if goals come with odometry, as from a simulator that waits for answers."""
+        return bool(self.companions) or self._time in self.stamps(*GOALS).values()
+
+    @property
     def heard(self) -> dict[str, Any]:
         """Return what the next decision is based on, by the keys on ``tick``.
 
@@ -591,8 +596,7 @@ class Core:
             self.planner.start_afresh()  # the clock of odometry was set back
         heard, self.seen = self.inputs.heard, snapshot
         clock, end = self._clock, math.inf if self._unlimited else begun + self.settings.deadline
-        same = self.inputs._time in heard['goal_stamps'].values()
-        if self._counted and (same or self.inputs.companions):  # a simulator waits for answers
+        if self._counted and self.inputs.in_step:
             # This clock advances with each reading, of which a search takes one after each part:
             # its limit is the same on every machine, however busy.
             clock = (LOOK * looks for looks in itertools.count(1)).__next__

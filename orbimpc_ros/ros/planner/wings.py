@@ -189,6 +189,10 @@ class Wing(ABC):
     def _listen(self, kind: type, topic: str, callback: Callable[..., None], *known: str) -> None:
         self._node.create_subscription(kind, topic, self._node.guard(callback, *known), LATEST)
 
+    def _airspeed_is(self, true: float) -> None:
+        """Take in the true airspeed [m/s]; it is unknown unless positive."""
+        self._note('airspeed', true if true > 0.0 else math.nan)
+
     def _wind_is(self, message: TwistWithCovarianceStamped) -> None:
         """Take in the wind, and publish it."""
         linear = message.twist.twist.linear
@@ -259,7 +263,7 @@ class Px4(Wing):
 
     def _on_airspeed(self, message: Any) -> None:
         true, calibrated = message.true_airspeed_m_s, message.calibrated_airspeed_m_s
-        self._note('airspeed', true if true > 0.0 else math.nan)
+        self._airspeed_is(true)
         if true > 0.0 and calibrated > 0.0:  # also refuses NaN, which is "invalid"
             self._share = calibrated / true
 
@@ -334,8 +338,7 @@ class ArduPlane(Wing):
 
     def _on_hud(self, message: Any) -> None:
         self._share = equivalent(message.altitude)
-        true = message.airspeed / self._share
-        self._note('airspeed', true if true > 0.0 else math.nan)
+        self._airspeed_is(message.airspeed / self._share)
 
     def _on_state(self, message: Any) -> None:
         self._note('mode', message.connected and message.mode == self.mode)
