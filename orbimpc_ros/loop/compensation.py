@@ -20,11 +20,12 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, Sealed, number
+from orbimpc_ros.mpc.arrays import Array, Sealed, number, sealed
 from orbimpc_ros.mpc.geometry.rotations import exp, log, turned
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
@@ -171,6 +172,13 @@ def followed(reached: F, wanted: F, duration: float, lag: float) -> tuple[F, F]:
     return wanted + left, wanted * duration + lag * (reached - wanted - left)
 
 
+def covered(shares: Sequence[float], duration: float, lag: float) -> list[float]:
+    """Return the integrals of a share that follows those commanded after the first, each a time."""
+    begun = shares[0], 0.0
+    steps = accumulate(shares[1:], lambda x, c: followed(x[0], c, duration, lag), initial=begun)
+    return [integral for _, integral in steps][1:]
+
+
 LONGEST = 1e3  # [s]
 
 
@@ -295,9 +303,7 @@ class Compensator:
     @property
     def disturbance(self) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2], with the given part, shape (n,)."""
-        found: Array = self._estimate[-1].copy()
-        found.setflags(write=False)
-        return found
+        return sealed(self._estimate[-1].copy())
 
     def start(
         self,

@@ -32,12 +32,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import followed
+from orbimpc_ros.loop.compensation import covered
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.check import holds
-from orbimpc_ros.mpc.geometry.rotations import log, turned
-from orbimpc_ros.mpc.model.dynamics import adrift
+from orbimpc_ros.mpc.geometry.rotations import mean_axes
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Problem, State, Weights
@@ -332,7 +331,8 @@ class Interception:
         """Return an earlier catch than the one found, if any, doubling the distance each time."""
         for away in (1, 2, 4, 8):
             end = math.ceil(found.end) - away
-            sooner = self._surely(query, end) if end > self._horizon else MISSED
+            likely = end > self._horizon and found.miss <= self._radius
+            sooner = self._surely(query, end) if likely else MISSED
             if sooner.plan is None:
                 break
             found = sooner
@@ -428,7 +428,7 @@ class Interception:
         for _ in range(TRIES):
             if query.late():
                 return found
-            task = replace(posed, goals=sealed(aims))
+            task = replace(posed, goals=aims)
             answer = task.solved()
             query.tried += 1
             plan, status, _ = answer
@@ -471,10 +471,9 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     """
     if problem.inertial or problem.rotation_order == 2 or problem.discretisation == 'euler':
         return np.zeros(problem.dimension)
-    reached, *shares = plan.speed_fraction.tolist()
-    before, ahead, ways = plan.projected[:-1], np.eye(problem.dimension)[0], []
-    for wanted, turn in zip(shares, before.transpose(0, 2, 1) @ plan.projected[1:], strict=True):
-        reached, covered = followed(reached, wanted, problem.step, lag)
-        ways.append(covered * turned(log(turn), ahead)[0])
-    way = problem.forward * np.einsum('kij,kj->i', before, np.array(ways))
-    return np.asarray(adrift(problem, state) + way - plan.positions[-1])
+    before, after = plan.projected[:-1], plan.projected[1:]
+    ahead = mean_axes(before.transpose(0, 2, 1) @ after)
+    flown = covered(plan.speed_fraction.tolist(), problem.step, lag)
+    way = problem.forward * np.einsum('k,kij,kj->i', flown, before, ahead)
+    blown = problem.horizon * problem.step * state.disturbance
+    return np.asarray(state.position + blown + way - plan.positions[-1])

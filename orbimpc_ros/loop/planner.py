@@ -303,9 +303,7 @@ class Planner:
         if self._memory.last is None:
             return 0.0
         steps = (time - self._memory.last) / self.problem.step
-        if steps <= 0.0 or abs(steps - 1.0) <= SNAP:
-            return 1.0
-        return steps
+        return 1.0 if steps <= 0.0 or abs(steps - 1.0) <= SNAP else steps
 
     # --- a decision
 
@@ -409,8 +407,7 @@ class Planner:
             places, held = self._paced(motion, odometry, ends)
         else:
             places = np.array(given if motion is None else motion.at(ends), dtype=float)
-        places.setflags(write=False)
-        goals, shortened = clamp_goal(self.problem, state, places)
+        goals, shortened = clamp_goal(self.problem, state, sealed(places))
         task = replace(task, goals=goals)
         if not held and (state.hazards or self.problem.obstacles):
             held = held_goal(task.problem, state, goals)
@@ -491,8 +488,7 @@ class Planner:
         found, catch = interception.earliest(query)
         words = ''
         if found is None and self._approach.exists:
-            unmet = f'no catch in the cone found; none possible before {catch.bound:.4g} s'
-            words = f'approach: {unmet}'
+            words = f'approach: no catch in the cone found; none before {catch.bound:.4g} s'
         if found is not None:
             chosen, answer = replace(found[0], state=task.state), found[1]
             if not task.state.hazards or cheapest_clear(chosen, filter(None, answer[:1])):

@@ -587,8 +587,6 @@ class Velocity:
     def at(self, times: Array) -> Array:
         """Return the line at ``times`` [s], shape (N, n) [m]; the position if there is only one."""
         stamps, seen = self._past()
-        if stamps[-1] == stamps[0]:
-            return np.tile(seen[-1], (len(times), 1))
         return seen.mean(axis=0) + np.outer(times - stamps.mean(), slope(stamps, seen))
 
 

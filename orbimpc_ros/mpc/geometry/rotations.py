@@ -47,17 +47,7 @@ def exp(phi: Array) -> Array:
     if len(phi) == 1:
         c, s = math.cos(phi[0]), math.sin(phi[0])
         return np.array([[c, -s], [s, c]])
-    return _rodrigues(math.sqrt(phi @ phi) / math.pi, skew(phi))
-
-
-def exps(phis: Array) -> Array:
-    """Return the rotations, shape (N, 3, 3), by tangent vectors, shape (N, 3) [rad]."""
-    angles = np.linalg.norm(phis, axis=1)[:, None, None] / math.pi
-    return _rodrigues(angles, np.array([skew(phi) for phi in phis]))
-
-
-def _rodrigues(angle: float | Array, hat: Array) -> Array:
-    """Return rotations by angles, in units of pi, with the skew matrices of their vectors."""
+    angle, hat = math.sqrt(phi @ phi) / math.pi, skew(phi)
     half = np.sinc(0.5 * angle)  # (1 - cos a) / a^2 is half the square of that
     return np.asarray(np.eye(3) + np.sinc(angle) * hat + 0.5 * half * half * (hat @ hat))
 
@@ -95,6 +85,16 @@ def turned(phi: Array, vector: Array) -> tuple[Array, Array]:
         second = (angle - math.sin(angle)) / angle**3
         third = (0.5 - first) / angle**2
     return vector + first * across + second * back, 0.5 * vector + second * across + third * back
+
+
+def mean_axes(turns: Array) -> Array:
+    """Return the mean thrust axes during turns at constant rates, shape (N, n, n), as (N, n)."""
+    axis = np.eye(turns.shape[1])[0]
+    if len(axis) == 3:
+        return np.array([turned(log(turn), axis)[0] for turn in turns])
+    angles = np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
+    half = np.sinc(angles / (2.0 * math.pi))
+    return np.column_stack([np.sinc(angles / math.pi), 0.5 * angles * half * half])
 
 
 def nearest(matrix: Array) -> Array:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of, exps, turned_within
+from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED, aside_of, exp, turned_within
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.reach import decided
 
@@ -91,7 +91,7 @@ def flown(problem: Problem, state: State, goals: Array, arc: Arc) -> Iterator[Ar
     n, (rows, wanted) = problem.dimension, _asked(problem, state, goals)
     scale, best = np.maximum(np.abs(rows).max(axis=1), HEADING_UNDEFINED)[:, None], math.inf
     for _ in range(CORRECTIONS):
-        frames = np.array([*accumulate([arc.frame, *exps(arc.turns)], np.matmul)][1:])
+        frames = np.array([*accumulate([arc.frame, *map(exp, arc.turns)], np.matmul)][1:])
         least: Array = np.full(len(frames), -1.0)  # backwards, without a floor
         if problem.floor.exists:
             least = np.minimum(1.0, problem.floor.least(frames[:, :n, 0]))
