@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, Sealed, number, sealed
+from orbimpc_ros.mpc.arrays import Array, Sealed, number
 from orbimpc_ros.mpc.geometry.rotations import exp, log, turned
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
@@ -303,7 +303,9 @@ class Compensator:
     @property
     def disturbance(self) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2], with the given part, shape (n,)."""
-        return sealed(self._estimate[-1].copy())
+        found: Array = self._estimate[-1].copy()
+        found.setflags(write=False)
+        return found
 
     def start(
         self,

@@ -48,10 +48,9 @@ def is_clear(task: Task, plan: Plan) -> bool:
 
 def cheapest_clear(task: Task, plans: Iterable[Plan]) -> Plan | None:
     """Return the cheapest of the plans that pass their check and are clear, or None."""
-    for each in sorted(plans, key=attrgetter('objective')):
-        if holds(*task.known, each) and is_clear(task, each):
-            return each
-    return None
+    held = (each for each in plans if holds(*task.known, each))
+    ranked = sorted(held, key=attrgetter('objective'))
+    return next((each for each in ranked if is_clear(task, each)), None)
 
 
 def clear_instead(task: Task, plan: Plan) -> Plan:
@@ -141,8 +140,7 @@ def decided(kind: str, problem: Problem, gravity: float = 0.0) -> str:
         return kind
     if gravity and problem.inertial:
         return 'hover'
-    floored = problem.floor.exists and not problem.inertial
-    return 'loiter' if floored else 'stop'
+    return 'loiter' if problem.floor.exists and not problem.inertial else 'stop'
 
 
 def may_stop(kind: str, problem: Problem) -> bool:
@@ -181,8 +179,7 @@ def safe_command(
     if kind == 'hold_rate_zero':
         kept = max(fraction, least) if not problem.inertial else 0.0
         return Command(kept, rate, np.array(attitude))
-    circling = 2.0 * math.pi / (CIRCLE_STEPS * problem.step)
-    rate[-1] = min(circling, problem.max_rate) if problem.max_rate > 0.0 else circling
+    rate[-1] = min(2.0 * math.pi / (CIRCLE_STEPS * problem.step), problem.max_rate or math.inf)
     circled = problem.floor.circling(problem.dimension)
     told = moved_towards(problem, entry_of_safety(problem, fraction), circled)
     return Command(told, rate, attitude @ exp(problem.step * rate))

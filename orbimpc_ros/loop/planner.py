@@ -407,7 +407,8 @@ class Planner:
             places, held = self._paced(motion, odometry, ends)
         else:
             places = np.array(given if motion is None else motion.at(ends), dtype=float)
-        goals, shortened = clamp_goal(self.problem, state, sealed(places))
+        places.setflags(write=False)
+        goals, shortened = clamp_goal(self.problem, state, places)
         task = replace(task, goals=goals)
         if not held and (state.hazards or self.problem.obstacles):
             held = held_goal(task.problem, state, goals)
