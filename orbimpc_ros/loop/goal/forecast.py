@@ -587,6 +587,8 @@ class Velocity:
     def at(self, times: Array) -> Array:
         """Return the line at ``times`` [s], shape (N, n) [m]; the position if there is only one."""
         stamps, seen = self._past()
+        if stamps[-1] == stamps[0]:
+            return np.tile(seen[-1], (len(times), 1))
         return seen.mean(axis=0) + np.outer(times - stamps.mean(), slope(stamps, seen))
 
 
@@ -602,9 +604,6 @@ class Harmonic(Velocity):
     Before that it degrades gracefully: it holds the goal after one sighting, and extrapolates its
     motion after a few, the more cautiously the more noise there is.
     """
-
-    def __init__(self) -> None:
-        super().__init__(latest=64)
 
     def at(self, times: Array) -> Array:
         """Return the predicted positions at ``times``, shape (N,) [s], as shape (N, n) [m].
@@ -660,6 +659,6 @@ def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> Array:
 FORECASTS: dict[str, Callable[[], Forecast]] = {
     'hold': partial(Velocity, latest=1),
     'velocity': partial(Velocity, latest=3),
-    'harmonic': Harmonic,
+    'harmonic': partial(Harmonic, latest=64),
     'auto': Bank,
 }
