@@ -5,9 +5,9 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_260,
+    'orbimpc_ros': 28_259,
     'orbimpc_ros/mpc': 14_690,
-    'orbimpc_ros/loop': 3_137,
+    'orbimpc_ros/loop': 3_136,
     'orbimpc_ros/ros': 4_047,
     'orbimpc_ros/sim': 2_200,
     'orbimpc_ros/tool': 4_059,
