@@ -42,9 +42,6 @@ class Enough(NamedTuple):
         return found.cost <= self.cost or found.lower_bound > self.bound
 
 
-NEVER_ENOUGH = Enough()
-
-
 class Request(NamedTuple):
     """The input of a method; a tuple because one is created at every tick.
 
@@ -64,7 +61,7 @@ class Request(NamedTuple):
     guess: Array | None = None
     out_of_time: Callable[[], bool] | None = None
     patient: bool = False
-    enough: Enough = NEVER_ENOUGH
+    enough: Enough = Enough()
 
     @property
     def hurried(self) -> bool:

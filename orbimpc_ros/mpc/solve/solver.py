@@ -197,8 +197,9 @@ class Solver:
         if flaws:
             found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
             return self._instead(asked, found, SolverFailure(found.reason))
-        if plan.objective - plan.lower_bound <= self._tolerance * plan.objective:
-            return plan  # proved optimal relative to its own cost, however small that is
+        closed = plan.objective - plan.lower_bound <= self._tolerance * plan.objective
+        if closed or self._enough.met(found):
+            return plan  # proved optimal relative to its own cost, however small, or enough
         instead = replace(plan.proof, reason=joined(plan.proof.reason, STANDS_IN))
         return self._cheapest(asked, self._unsought(asked), instead, plan.objective) or plan
 
