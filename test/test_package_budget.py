@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_259,
-    'orbimpc_ros/mpc': 14_690,
+    'orbimpc_ros': 28_257,
+    'orbimpc_ros/mpc': 14_688,
     'orbimpc_ros/loop': 3_136,
     'orbimpc_ros/ros': 4_047,
     'orbimpc_ros/sim': 2_200,
