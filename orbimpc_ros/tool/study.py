@@ -57,7 +57,6 @@ OUT, FLIGHTS, REPORT, PICTURE = 'out', 'flights.jsonl', 'report.md', 'caught.png
 Rule = Any
 FIELDS = {'about': str, 'config': str, 'set': list, 'draw': dict}  # of a study file, and types
 MOST_TRIES = 10_000  # to draw a body that is clear of the origin
-TURN = [-math.pi, math.pi]
 LARGEST_DRAWN = 2**31 - 1  # for seeds of the noise
 PATIENCE = 5.0  # [s] for a scheduler to answer, and for its first worker
 GLANCE = 0.2  # [s] between checks for a signal
@@ -342,6 +341,8 @@ def _content(file: Path, *above: Path) -> Values:
 def _default_rules(values: Values) -> dict[str, Rule]:
     """Return the rules for a parameter file; among obstacles the goal stays in place.
 
+    A vehicle that moves has its goal ahead: it might not be able to return.
+
     Raises:
         BadInput: the goal is nearer than a step.
     """
@@ -351,17 +352,17 @@ def _default_rules(values: Values) -> dict[str, Rule]:
         start, goal = values['start.position'], values['rope.center']
         step, away = values['step'] * values['forward'], math.dist(goal, start)
         if values['translation_order'] == 1 and away < step:  # such as the default for a wing
-            raise BadInput(
-                'rope.center', f'{away:g} m away', f'farther away than a step of {step:g} m'
-            )
+            raise BadInput('rope.center', f'{away:g} m away', f'farther away than a step, {step:g} m')
         if flat or values['glide_slope']:  # as high as it is, so that the vehicle is above it
             distance, start = math.dist(goal[:2], start[:2]), (*start[:2], goal[2])
-            around: Rule = {'towards': TURN, 'length': [distance, distance]}
+            x, y, _ = values['start.velocity']
+            ahead, aside = math.atan2(y, x), 0.5 * math.pi if x or y else math.pi
+            around: Rule = {'towards': [ahead - aside, ahead + aside], 'length': 2 * [distance]}
         else:
             around = {'turned': away}
         rules['rope.center'] = {'from': start, **around}
     if not values['gravity']:
-        rules['start.orientation'] = {'heading': TURN} if flat else {'turned': 'any'}
+        rules['start.orientation'] = {'heading': [-math.pi, math.pi]} if flat else {'turned': 'any'}
     return rules
 
 
@@ -480,7 +481,6 @@ def draw(draws: Draws, rows: Rows, file: Path) -> None:
         times = sorted(row['time'] for row in flights if row['caught'])
         shares = np.array([*range(len(times) + 1), len(times)]) / len(flights)
         lines[name] = np.array([0.0, *times, draws.limit]), shares
-
     for each in in_both_looks(file):
         figure = Figure(figsize=(5.0, 3.8), layout='constrained')
         draw_panel(figure.subplots(), Panel(f'{draws.name}: share caught', '', lines, steps=True))
