@@ -12,9 +12,9 @@ LINES = {
     'orbimpc_ros/sim': 2_200,
     'orbimpc_ros/tool': 4_059,
     'benchmarks': 3_351,
-    'test': 17_978,
+    'test': 17_979,
 }
-WORDS = {'docs': 23_555, 'README.md': 900}
+WORDS = {'docs': 23_557, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)

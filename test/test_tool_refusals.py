@@ -55,7 +55,7 @@ REFUSED = {
     'study --resume': '-o DIR',
     'study -o .': 'other files',
     'study nobody': 'a parameter file, or one of',
-    'study arduplane': 'rope.center is 5 m away; allowed: farther away than a step, 9 m',
+    'study arduplane': 'rope.center is 5 m away; allowed: farther than a step, 9 m',
     'bench --only chess': 'chess',
     'bench --json /proc/x.json': '--json',  # a folder that accepts no files
     'faults --only weather': '--only',

@@ -352,7 +352,7 @@ def _default_rules(values: Values) -> dict[str, Rule]:
         start, goal = values['start.position'], values['rope.center']
         step, away = values['step'] * values['forward'], math.dist(goal, start)
         if values['translation_order'] == 1 and away < step:  # such as the default for a wing
-            raise BadInput('rope.center', f'{away:g} m away', f'farther away than a step, {step:g} m')
+            raise BadInput('rope.center', f'{away:g} m away', f'farther than a step, {step:g} m')
         if flat or values['glide_slope']:  # as high as it is, so that the vehicle is above it
             distance, start = math.dist(goal[:2], start[:2]), (*start[:2], goal[2])
             x, y, _ = values['start.velocity']
