@@ -313,6 +313,16 @@ def test_at_its_goal_a_plan_may_cost_nothing():
     assert violations(*nothing.but(objective=5e-324)) == ['the objective is 0, not 4.94066e-324']
 
 
+def test_a_steady_turn_may_cost_nothing_but_rounding():
+    problem = Problem(rotation_order=2, step=0.3, weights=Weights(position=0.0, terminal=0.0))
+    rate = np.array([0.1, 0.2])
+    start = State.at([0.0, 0.0], 0.3 * np.eye(2), rotation_rate=matrix(rate))
+    x = [0.3, 0.0] + 0.3 * np.outer(np.arange(1.0, 6.0), rate)
+    plan = assembled(problem, start, GOALS, x)
+    assert 0.0 < plan.objective < 1e-20
+    assert violations(problem, start, GOALS, plan) == []
+
+
 @pytest.mark.parametrize(
     ('excess', 'unit'), [(1e-4, 1.0), (9.0, 1.0), (np.inf, 1.0), (np.nan, 1.0), (1.0, np.inf)]
 )

@@ -247,9 +247,8 @@ def _proof_violations(problem: Problem, state: State, goals: Array, plan: Plan) 
 def _objective(problem: Problem, state: State, goals: Array, plan: Plan) -> float:
     """Return the cost of a plan, term by term: every term is >= 0, so nothing cancels."""
     w, h = problem.weights, problem.step
-    misses, inputs = plan.positions[1:] - goals, plan.rotations
-    for _ in range(problem.rotation_order):
-        inputs = np.diff(inputs, axis=0) / h
+    misses, order = plan.positions[1:] - goals, problem.rotation_order
+    inputs = np.diff(plan.rotations, order, axis=0) / h**order  # rounded once: it may vanish
     cost = w.position * np.vdot(misses, misses) + w.input * np.vdot(inputs, inputs)
     cost += (w.terminal + problem.arrival_weight) * (misses[-1] @ misses[-1])
     if w.length > 0.0:
