@@ -35,7 +35,7 @@ from orbimpc_ros.mpc.problem import (
     State,
     Weights,
 )
-from orbimpc_ros.mpc.problem.cones import climb, relief, told
+from orbimpc_ros.mpc.problem.cones import climb, cone_violations, relief
 from orbimpc_ros.mpc.problem.problem import SLOWEST
 from orbimpc_ros.mpc.problem.reach import clear_of_hazards, entry_speed
 from orbimpc_ros.mpc.solve.request import Enough
@@ -204,7 +204,7 @@ def test_plans_keep_both_cones_at_every_step_and_the_check_sees_those_that_do_no
     assert tilts(plan).max() <= 0.2 + 1e-5
     assert slopes(plan).min() >= 0.6 - 1e-5
     assert without.lower_bound <= plan.objective
-    assert told(problem, PAD, plan) == ''
+    assert cone_violations(problem, PAD, plan) == ''
     raised = PAD + UP * (1e-4 / math.cos(0.6))  # tolerance: 1e-6 of the length of a step
     assert 'glide_slope violated by' in ' '.join(violations(problem, start, raised, plan))
 
@@ -274,7 +274,7 @@ def test_what_is_outside_comes_back_in_and_it_is_said():
     plan = Solver(problem, gap_tolerance=1e-3).solve(start, PAD)
     turning = np.maximum(math.pi / 3.0 - 0.3 * np.arange(1, 9), 0.2)
     assert (tilts(plan) <= turning + 1e-5).all()
-    words = told(problem, PAD, plan)
+    words = cone_violations(problem, PAD, plan)
     assert 'tilted too far until step 2' in words
     assert 'm outside the glide slope until step' in words
     inside = np.flatnonzero(relief(problem, start, PAD).slope == 0.0)

@@ -24,8 +24,8 @@ def frozen(value: ArrayLike, shape: tuple[int, ...], culprit: str) -> Array:
         BadInput: not numbers, another shape, NaN or infinite.
     """
     with suppress(TypeError, ValueError, OverflowError):
-        known = numbers_of(value, culprit) if isinstance(value, list) else value
-        array: Any = known if _is_sealed(known) else np.array(known, dtype=float)
+        entries = numbers_of(value, culprit) if isinstance(value, list) else value
+        array: Any = entries if _is_sealed(entries) else np.array(entries, dtype=float)
         fits = array.ndim == 1 if shape == (-1,) else array.shape == shape
         if fits and np.isfinite(array).all():
             return sealed(array)

@@ -123,13 +123,13 @@ def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[st
     share of full speed without; for obstacles, hazards and ``glide_slope`` lengths [m].
     """
     steps = step_margins(problem, state, goals, plan.rotations[:, :, 0], plan.positions[1:])
-    found = {name: float(each.min()) for name, each in steps.items()}
-    found['hull'] = float(margin(plan.rotations[1:]).min())
+    least = {name: float(each.min()) for name, each in steps.items()}
+    least['hull'] = float(margin(plan.rotations[1:]).min())
     if problem.boxes:
-        found['obstacle'] = obstacle_margin(problem, plan.positions)
+        least['obstacle'] = obstacle_margin(problem, plan.positions)
     if problem.obstacles or state.hazards:
-        found |= clearances(problem, state, plan)
-    return found
+        least |= clearances(problem, state, plan)
+    return least
 
 
 def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
@@ -147,24 +147,24 @@ def step_margins(
     Those of R_0 e1..R_N e1, shape (..., N + 1, n), and s_1..s_N, shape (..., N, n) [m], have shape
     (..., N); (..., 1) for ``approach``, of the last step.
     """
-    found, turned = dict[str, Array](), headings[..., 1:, :]
+    by_limit, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
         outward = problem.floor_normals
         above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
-        found['floor'] = above - problem.floor.fraction
+        by_limit['floor'] = above - problem.floor.fraction
     if problem.max_rate:
-        found['max_rate'] = turn_margin(problem, state, headings)
+        by_limit['max_rate'] = turn_margin(problem, state, headings)
     if problem.max_acceleration:
-        found['max_acceleration'] = speed_margin(problem, state, headings)
+        by_limit['max_acceleration'] = speed_margin(problem, state, headings)
     if problem.approach.exists:
-        found['approach'] = approach_margin(problem, state, headings[..., -1:, :])
+        by_limit['approach'] = approach_margin(problem, state, headings[..., -1:, :])
     if problem.tilt or problem.glide_slope:
         eased = relief(problem, state, goals)
         if problem.tilt:
-            found['tilt'] = eased.tilt - leaning(problem, turned)
+            by_limit['tilt'] = eased.tilt - leaning(problem, turned)
         if problem.glide_slope:
-            found['glide_slope'] = eased.slope - strayed(problem, places - goals)
-    return found
+            by_limit['glide_slope'] = eased.slope - strayed(problem, places - goals)
+    return by_limit
 
 
 def approach_margin(problem: Problem, state: State, heading: Array) -> Array:
@@ -290,15 +290,15 @@ def _rotation_violations(problem: Problem, state: State, plan: Plan) -> Iterator
         yield f'a projected rotation strays {stray:.2g} from its projection'
 
 
-def _off_projection(plan: Plan, known: int) -> float:
-    """Return the largest error of Q_k, k >= known, as projections of R_k.
+def _off_projection(plan: Plan, first: int) -> float:
+    """Return the largest error of Q_k, k >= first, as projections of R_k.
 
     If R e1 vanishes, Q is the rotation before it. In the plane R = |R e1| Q. Otherwise a
     thrust-aligned Q in space has its first axis on R e1, and M = Q'R cannot be improved by a roll
     about it: M_23 = M_32, and M_22 + M_33 >= 0. The nearest Q makes M symmetric, with no two
     eigenvalues whose sum is negative (the optimality conditions of Wahba's problem).
     """
-    r, q, before = plan.rotations[known:], plan.projected[known:], plan.projected[known - 1 : -1]
+    r, q, before = plan.rotations[first:], plan.projected[first:], plan.projected[first - 1 : -1]
     sizes, plane = _sizes(r[:, :, 0]), r.shape[-1] == 2
     held = sizes < HEADING_UNDEFINED
     strays = [np.abs(sizes[:, None, None] * q - r)] if plane else []
@@ -334,7 +334,7 @@ def command_violations(
     parts = (command.speed_fraction, command.body_rate, command.rotation)
     if not all(np.isfinite(part).all() for part in parts):
         return ['command is not finite']
-    found = []
+    flaws = []
     first = problem.rotation_order - 1
     start, end = plan.projected[first], plan.projected[min(first + 1, plan.horizon)]
     planned = plan.speed_fraction[1]
@@ -343,15 +343,15 @@ def command_violations(
         along = planned * max(0.0, command.rotation[:, 0] @ end[:, 0])
         planned = max(along, min(planned, slowest))
     if abs(command.speed_fraction - planned) > TOLERANCE:
-        found.append('the commanded speed is not that of the plan')
+        flaws.append('the commanded speed is not that of the plan')
     turned = start @ _rotation_by(problem.step * command.body_rate)
     if np.abs(turned - command.rotation).max() > ORTHOGONAL:
-        found.append('the commanded rotation does not match the commanded rate')
-    left, whole = _angle_between(command.rotation, end), _angle_between(start, end)
+        flaws.append('the commanded rotation does not match the commanded rate')
+    left, needed = _angle_between(command.rotation, end), _angle_between(start, end)
     allowed = problem.step * (problem.max_rate or math.inf)
-    if abs(left - max(0.0, whole - allowed)) > TOLERANCE:
-        found.append(f'the commanded rotation is {left:.2g} rad from that of the plan')
-    return found
+    if abs(left - max(0.0, needed - allowed)) > TOLERANCE:
+        flaws.append(f'the commanded rotation is {left:.2g} rad from that of the plan')
+    return flaws
 
 
 def _angle_between(a: Array, b: Array) -> float:

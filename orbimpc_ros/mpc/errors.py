@@ -33,10 +33,10 @@ class BadInput(OrbimpcError, ValueError):
     @classmethod
     def choice(cls, culprit: str, value: object, words: Iterable[str]) -> BadInput:
         """Return the error of a value that is not one of a few words, with the closest of them."""
-        known = tuple(words)
-        close = difflib.get_close_matches(str(value), known, n=1)
+        choices = tuple(words)
+        close = difflib.get_close_matches(str(value), choices, n=1)
         meant = f'; did you mean {close[0]!r}?' if close else ''
-        return cls(culprit, value, ' | '.join(known) + meant)
+        return cls(culprit, value, ' | '.join(choices) + meant)
 
     @classmethod
     def stating(cls, subject: str, problem: str, hint: str) -> BadInput:

@@ -127,11 +127,11 @@ def assemble(
     Everything else follows from the dynamics, so that the plan is consistent by construction.
     """
     rotations, x = matrix(x), np.concatenate([coordinates(state.rotation)[None], x])
-    given = [state.attitude]
+    decided = [state.attitude]
     if problem.rotation_order == 2 and state.coasted is not None:
-        given.append(state.coasted)  # the body turns there whatever the thrust
-    turned = project_all(rotations[len(given) - 1 :], given[-1], projection)
-    made, projected = flown(problem, state, goals, rotations), np.concatenate([given, turned])
+        decided.append(state.coasted)  # the body turns there whatever the thrust
+    turned = project_all(rotations[len(decided) - 1 :], decided[-1], projection)
+    made, projected = flown(problem, state, goals, rotations), np.concatenate([decided, turned])
     for array in (made.positions, made.velocities, made.rotations, x, projected):
         array.setflags(write=False)
     return Plan(**vars(made), x=x, projected=projected, projection=projection, proof=proof)
@@ -166,10 +166,10 @@ def _as_long(problem: Problem, x: Array, moved: Array, at: Array) -> Array:
     """
     n, lengths = problem.dimension, np.linalg.norm(x[:, : problem.dimension], axis=1)
     sizes = np.interp(at, np.arange(len(x)), lengths)[:, None]
-    found = np.linalg.norm(moved[:, :n], axis=1, keepdims=True)
+    on_chord = np.linalg.norm(moved[:, :n], axis=1, keepdims=True)
     if n == 3:
-        sizes = np.maximum(found, np.minimum(sizes, problem.floor.radius))
-    return np.asarray(moved * np.where(found > 0.0, sizes / np.maximum(found, TINY), 1.0))
+        sizes = np.maximum(on_chord, np.minimum(sizes, problem.floor.radius))
+    return np.asarray(moved * np.where(on_chord > 0.0, sizes / np.maximum(on_chord, TINY), 1.0))
 
 
 def followed(problem: Problem, state: State, x: Array) -> Array:
@@ -177,7 +177,7 @@ def followed(problem: Problem, state: State, x: Array) -> Array:
 
     With a floor they keep their lengths; otherwise it flies their components, as in (7.2a).
     """
-    widest, found = WITHIN * problem.widest_turn, np.zeros_like(x)
+    widest, headings = WITHIN * problem.widest_turn, np.zeros_like(x)
     angle = math.atan2(state.attitude[1, 0], state.attitude[0, 0])
     for k, (along, aside) in enumerate(x.tolist()):
         size = math.hypot(along, aside)
@@ -185,8 +185,8 @@ def followed(problem: Problem, state: State, x: Array) -> Array:
         turn = min(max(wanted, -widest), widest)
         angle += turn
         share = size if problem.turns_are_angles else size * max(0.0, math.cos(wanted - turn))
-        found[k] = share * math.cos(angle), share * math.sin(angle)
-    return found
+        headings[k] = share * math.cos(angle), share * math.sin(angle)
+    return headings
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,10 +103,10 @@ def _slacks(problem: Problem, state: State, goals: Array, headings: Array) -> di
     """Return the margins of each step, shape (..., N), for headings, shape (..., N + 1, n)."""
     moved = problem.maps.reach[:, 1:] @ headings[..., 1:, :]
     places = decided(problem, state)[0][1:] + moved
-    found = step_margins(problem, state, goals, headings, places)
+    margins = step_margins(problem, state, goals, headings, places)
     if problem.dimension == 2:
-        found['hull'] = 1.0 - np.linalg.norm(headings[..., 1:, :], axis=-1)
-    return found
+        margins['hull'] = 1.0 - np.linalg.norm(headings[..., 1:, :], axis=-1)
+    return margins
 
 
 def _tightened(problem: Problem, name: str) -> tuple[Problem, float]:
@@ -235,8 +235,8 @@ def _charged(slacks: Sequence[Slack], multipliers: Array, nothing: float) -> tup
     bills: defaultdict[tuple[str, int], float] = defaultdict(float)
     for slack, multiplier in zip(slacks, multipliers, strict=True):
         bills[slack.name, slack.step] += slack.unit * float(multiplier)
-    found = [Binding(name, step, abs(price)) for (name, step), price in bills.items()]
-    return tuple(sorted((b for b in found if b.price > nothing), key=lambda b: -b.price))
+    bindings = [Binding(name, step, abs(price)) for (name, step), price in bills.items()]
+    return tuple(sorted((b for b in bindings if b.price > nothing), key=lambda b: -b.price))
 
 
 def _multipliers(columns: Array, pull: Array, signed: Sequence[bool], nothing: float) -> Array:
@@ -247,11 +247,11 @@ def _multipliers(columns: Array, pull: Array, signed: Sequence[bool], nothing: f
     """
     kept = np.ones(len(signed), dtype=bool)
     while kept.any():
-        found = np.zeros(len(signed))
-        found[kept] = np.linalg.lstsq(columns[:, kept], pull, rcond=None)[0]
-        worst = int(np.argmin(np.where(signed, np.inf, found)))
-        if signed[worst] or found[worst] >= -nothing:
-            return found
+        multipliers = np.zeros(len(signed))
+        multipliers[kept] = np.linalg.lstsq(columns[:, kept], pull, rcond=None)[0]
+        worst = int(np.argmin(np.where(signed, np.inf, multipliers)))
+        if signed[worst] or multipliers[worst] >= -nothing:
+            return multipliers
         kept[worst] = False
     return np.zeros(len(signed))
 

@@ -42,8 +42,8 @@ def normals(dimension: int, faces: int) -> Array:
     signs = np.array([*itertools.product((-1.0, 1.0), repeat=3)])
     points = [np.roll(signs * p, k, axis=1) for p in SOLIDS[faces] for k in range(3)]
     once = dict.fromkeys(map(tuple, np.vstack(points).tolist()))  # -0.0 is the same key as 0.0
-    found = np.array([*once]) + 0.0
-    return sealed(found / np.linalg.norm(found, axis=1, keepdims=True))
+    vectors = np.array([*once]) + 0.0
+    return sealed(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def cap(tilt: float) -> Array:

@@ -221,14 +221,14 @@ def from_quaternion(quaternion: Array, dimension: int) -> Array:
     The yaw is the heading of the body's x axis seen from above, as in REP-103.
     """
     w, x, y, z = quaternion.tolist()
-    whole = np.array(
+    rotation = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    return whole if dimension == 3 else _from_heading_2(whole[:2, 0])
+    return rotation if dimension == 3 else _from_heading_2(rotation[:2, 0])
 
 
 def _from_heading_2(axis: Array) -> Array:

@@ -39,30 +39,30 @@ def _proposed(points: Array) -> Array:
     begin, way = points[..., first, :], points[..., second, :] - points[..., first, :]
     squared = np.maximum(np.einsum('...n,...n->...', way, way), np.finfo(float).tiny)
     share = np.clip(-np.einsum('...n,...n->...', begin, way) / squared, 0.0, 1.0)
-    found = _units(begin + share[..., None] * way, way)
+    on_edges = _units(begin + share[..., None] * way, way)
     if points.shape[-1] == 2 or points.shape[-2] < 3:
-        return found
+        return on_edges
     a, b, c = (points[..., each, :] for each in _corners(points.shape[-2], 3))
     across = _units(np.cross(b - a, c - a), a)
-    return np.concatenate([found, across, -across], axis=-2)
+    return np.concatenate([on_edges, across, -across], axis=-2)
 
 
-def _units(vectors: Array, ways: Array) -> Array:
-    """Return unit vectors, or vectors orthogonal to ``ways`` in place of vanishing ones."""
+def _units(vectors: Array, references: Array) -> Array:
+    """Return unit vectors, or vectors orthogonal to ``references`` in place of vanishing ones."""
     sizes = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    unclear = sizes <= DEGENERATE * np.linalg.norm(ways, axis=-1, keepdims=True)
+    unclear = sizes <= DEGENERATE * np.linalg.norm(references, axis=-1, keepdims=True)
     if unclear.any():
-        vectors = np.where(unclear, _across(ways), vectors)
+        vectors = np.where(unclear, _across(references), vectors)
         sizes = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.maximum(sizes, np.finfo(float).tiny))
 
 
-def _across(ways: Array) -> Array:
-    """Return vectors orthogonal to ``ways``, shape (..., n)."""
-    if ways.shape[-1] == 2:
-        return np.stack([-ways[..., 1], ways[..., 0]], axis=-1)
-    axis = np.eye(3)[np.abs(ways).argmin(axis=-1)]
-    return np.cross(ways, axis)
+def _across(vectors: Array) -> Array:
+    """Return vectors orthogonal to others, shape (..., n)."""
+    if vectors.shape[-1] == 2:
+        return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
+    axis = np.eye(3)[np.abs(vectors).argmin(axis=-1)]
+    return np.cross(vectors, axis)
 
 
 @lru_cache(maxsize=8)

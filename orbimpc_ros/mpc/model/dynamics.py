@@ -40,8 +40,8 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
     Without inertia the velocity is z R_k e1 + w, a function of the rotation alone.
     """
-    maps, given = problem.maps, np.vstack([headings, state.velocity, state.disturbance])
-    return maps.places @ given + state.position, maps.speeds @ given
+    maps, driving = problem.maps, np.vstack([headings, state.velocity, state.disturbance])
+    return maps.places @ driving + state.position, maps.speeds @ driving
 
 
 def adrift(problem: Problem, state: State) -> Array:
@@ -92,21 +92,21 @@ def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Ar
 
     The terms are the quadratic one in x, the linear one, and that of lengths.
     """
-    condensed, known = Condensed(problem), knowns(state, goals)
+    condensed, data = Condensed(problem), knowns(state, goals)
     axes = x[:, : problem.dimension]
     kinked = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), KINK)
     both = condensed.axes, condensed.others
     return [
         beside(x, *(each.hessian for each in both)),
-        beside(known, *(each.pulled for each in both)),
+        beside(data, *(each.pulled for each in both)),
         on_axes(length_weights(problem)[1:, None] * axes / kinked),
     ]
 
 
-def beside(known: Array, thrust: Array, others: Array) -> Array:
+def beside(rows: Array, thrust: Array, others: Array) -> Array:
     """Return a map's values for coordinates of R e1, and another's for the rest, shape (m, d)."""
-    n = min(known.shape[1], 3)
-    return np.hstack([thrust @ known[:, :n], others @ known[:, n:]])
+    n = min(rows.shape[1], 3)
+    return np.hstack([thrust @ rows[:, :n], others @ rows[:, n:]])
 
 
 def on_axes(gradient: Array) -> Array:
@@ -174,10 +174,10 @@ class Quadratic(NamedTuple):
     squared: Array
 
     @classmethod
-    def of(cls, weights: Array, moved: Array, given: Array) -> Quadratic:
-        """Return the sum of the weighted squares of moved x + given y, each of as many rows."""
+    def of(cls, weights: Array, moved: Array, shift: Array) -> Quadratic:
+        """Return the sum of the weighted squares of the rows of moved x + shift y."""
         weighed = moved.T * weights
-        return cls(2.0 * weighed @ moved, 2.0 * weighed @ given, given.T * weights @ given)
+        return cls(2.0 * weighed @ moved, 2.0 * weighed @ shift, shift.T * weights @ shift)
 
 
 class Condensed:
@@ -205,33 +205,33 @@ class Condensed:
         self.others = Quadratic.of(turning, turned[:, 1:], own)
         # Each row is s_k - g_k, and then p_N.
         flown = np.vstack([maps.places[1:], maps.speeds[-1:]])
-        known = np.hstack([flown[:, STARTED], np.zeros((count + 1, 1)), -np.eye(count + 1, count)])
-        moved = Quadratic.of(motion_weights(problem), flown[:, 1:-2], known)
+        shift = np.hstack([flown[:, STARTED], np.zeros((count + 1, 1)), -np.eye(count + 1, count)])
+        moved = Quadratic.of(motion_weights(problem), flown[:, 1:-2], shift)
         self.axes = Quadratic(*map(np.add, moved, self.others))
         self.hessian = self.axes.hessian
         ends = slice(count - 1, count + problem.inertial)
-        self.arrival = flown[ends, 1:-2], -known[ends]
+        self.arrival = flown[ends, 1:-2], -shift[ends]
 
     def affine(self, state: State, goals: Array) -> tuple[Array, float]:
         """Return q, shape (N, n), and c for a state and goals g_1..g_N, shape (N, n).
 
         c includes the constant length term of R_0 e1.
         """
-        known = knowns(state, goals, axes=True)
-        c = float(np.vdot(known, self.axes.squared @ known))
-        return self.axes.pulled @ known, c + first_length(self._problem, state)
+        data = knowns(state, goals, axes=True)
+        c = float(np.vdot(data, self.axes.squared @ data))
+        return self.axes.pulled @ data, c + first_length(self._problem, state)
 
 
 def knowns(state: State, goals: Array, *, axes: bool = False) -> Array:
     """Return the knowns, shape (N + 4, d), see :class:`Condensed`; of ``axes`` alone (N + 4, n)."""
     n, start = len(state.position), state.rotation[:, 0] if axes else coordinates(state.rotation)
-    known = np.zeros((len(goals) + 4, len(start)))
-    known[0], known[1, :n] = start, state.velocity
-    known[2, :n] = state.disturbance
+    rows = np.zeros((len(goals) + 4, len(start)))
+    rows[0], rows[1, :n] = start, state.velocity
+    rows[2, :n] = state.disturbance
     if state.wanted is not None:
-        known[3] = state.wanted[:, 0] if axes else coordinates(state.wanted)
-    known[4:, :n] = goals - state.position
-    return known
+        rows[3] = state.wanted[:, 0] if axes else coordinates(state.wanted)
+    rows[4:, :n] = goals - state.position
+    return rows
 
 
 def suits_dense_code(problem: Problem) -> bool:
@@ -278,17 +278,17 @@ def minimisers(problem: Problem, condensed: Condensed) -> tuple[Unconstrained, U
 
     Given are the knowns, and then R_1.
     """
-    (rows, values), given = condensed.arrival, problem.rotation_order - 1
+    (rows, values), decided = condensed.arrival, problem.rotation_order - 1
     met = len(rows) if problem.terminal == 'constraint' else 0
-    thrust = _unbounded(given, condensed.axes, rows[:met], values[:met])
-    return thrust, _unbounded(given, condensed.others, rows[:0], values[:0])
+    thrust = _unbounded(decided, condensed.axes, rows[:met], values[:met])
+    return thrust, _unbounded(decided, condensed.others, rows[:0], values[:0])
 
 
-def _unbounded(known: int, quadratic: Quadratic, rows: Array, values: Array) -> Unconstrained:
+def _unbounded(decided: int, quadratic: Quadratic, rows: Array, values: Array) -> Unconstrained:
     """Return the maps for a cost by elimination.
 
     Args:
-        known: number of the first rotations that are given: R_1 is at rotation order 2.
+        decided: number of the first rotations that are given: R_1 is at rotation order 2.
         quadratic: the cost, given the knowns.
         rows: of a terminal constraint over x_1..x_N.
         values: map from the knowns to their values.
@@ -296,8 +296,8 @@ def _unbounded(known: int, quadratic: Quadratic, rows: Array, values: Array) -> 
     hessian, c = quadratic.hessian, np.pad(quadratic.squared, (0, 1))
     q, values = (np.pad(each, ((0, 0), (0, 1))) for each in (quadratic.pulled, values))
     first = np.zeros_like(q)
-    first[:known, -1] = 1.0
-    inverse = np.pad(np.linalg.inv(hessian[known:, known:]), (known, 0))
+    first[:decided, -1] = 1.0
+    inverse = np.pad(np.linalg.inv(hessian[decided:, decided:]), (decided, 0))
     raised = inverse @ rows.T
     lift = raised @ np.linalg.inv(rows @ raised)
     inverse = inverse - lift @ raised.T

@@ -74,33 +74,33 @@ def case_of(mapping: Any) -> Case:
     """
     needed = (*MODEL, 'weights', 'state', 'goal')
     optional = (*EXTRAS, 'floor', 'obstacles', 'approach', 'hazards', 'goal_attitude')
-    known = fields_of(mapping, 'problem', needed, optional)
-    problem = _problem(known)
-    hazards = _each(known.get('hazards', []), 'hazards', _hazard)
-    state = _state(problem, known['state'], known.get('goal_attitude'), hazards)
-    return Case(problem, state, _goals(problem, known['goal']))
+    entries = fields_of(mapping, 'problem', needed, optional)
+    problem = _problem(entries)
+    hazards = _each(entries.get('hazards', []), 'hazards', _hazard)
+    state = _state(problem, entries['state'], entries.get('goal_attitude'), hazards)
+    return Case(problem, state, _goals(problem, entries['goal']))
 
 
-def _problem(known: Mapping[str, Any]) -> Problem:
-    weights = dict(fields_of(known['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
+def _problem(entries: Mapping[str, Any]) -> Problem:
+    weights = dict(fields_of(entries['weights'], 'weights', (), (*WEIGHTS, 'scaling')))
     scaling = weights.pop('scaling', 'paper')
-    cone = fields_of(known.get('approach', {'cone': 0.0}), 'approach', ('cone',), ('direction',))
+    cone = fields_of(entries.get('approach', {'cone': 0.0}), 'approach', ('cone',), ('direction',))
     direction = numbers_of(cone.get('direction', []), 'approach.direction')
-    plain = {name: known[name] for name in (*MODEL, *EXTRAS) if name in known}
+    plain = {name: entries[name] for name in (*MODEL, *EXTRAS) if name in entries}
     problem = Problem(
         **plain,
         weights=Weights(**{**dict.fromkeys(WEIGHTS, 0.0), **weights}),
-        floor=_floor(known.get('floor', {'shape': 'none'})),
-        obstacles=_each(known.get('obstacles', []), 'obstacles', body_of),
+        floor=_floor(entries.get('floor', {'shape': 'none'})),
+        obstacles=_each(entries.get('obstacles', []), 'obstacles', body_of),
         approach=Approach(cone['cone'], tuple(direction)),
     )
     return weighed(problem, scaling)
 
 
 def _floor(value: Any) -> Floor:
-    known = fields_of(value, 'floor', ('shape',), ('faces', 'fraction'))
-    needed = Floor(known['shape']).parameters  # raises BadInput for an unknown shape
-    return Floor(**fields_of(known, 'floor', ('shape', *needed), tuple(known)))
+    entries = fields_of(value, 'floor', ('shape',), ('faces', 'fraction'))
+    needed = Floor(entries['shape']).parameters  # raises BadInput for an unknown shape
+    return Floor(**fields_of(entries, 'floor', ('shape', *needed), tuple(entries)))
 
 
 def _each(value: Any, culprit: str, made: Callable[[Any, str], T]) -> tuple[T, ...]:
@@ -129,17 +129,17 @@ def body_of(value: Any, culprit: str, needed: Names = (), optional: Names = ()) 
 def _hazard(value: Any, culprit: str) -> MovingObstacle:
     moves = ('times', 'shifts') if isinstance(value, dict) and 'times' in value else ('velocity',)
     body = body_of(value, culprit, moves)
-    given = [numbers_of(value[name], f'{culprit}.{name}') for name in moves]
-    if len(given) == 2:
-        return MovingObstacle(body, *given)
-    return MovingObstacle.drifting(body, frozen(given[0], (body.dimension,), f'{culprit}.velocity'))
+    track = [numbers_of(value[name], f'{culprit}.{name}') for name in moves]
+    if len(track) == 2:
+        return MovingObstacle(body, *track)
+    return MovingObstacle.drifting(body, frozen(track[0], (body.dimension,), f'{culprit}.velocity'))
 
 
 def _state(problem: Problem, value: Any, wanted: Any, hazards: tuple[MovingObstacle, ...]) -> State:
     rates = ['velocity'] * problem.inertial + ['rotation_rate'] * (problem.rotation_order == 2)
-    known = fields_of(value, 'state', ('position', 'rotation'), ('disturbance', *rates))
+    entries = fields_of(value, 'state', ('position', 'rotation'), ('disturbance', *rates))
     n = problem.dimension
-    arrays = {name: numbers_of(each, f'state.{name}') for name, each in known.items()}
+    arrays = {name: numbers_of(each, f'state.{name}') for name, each in entries.items()}
     # The state takes its dimension from the position: settle that first.
     arrays['position'] = frozen(arrays['position'], (n,), 'state.position')
     if wanted is not None:

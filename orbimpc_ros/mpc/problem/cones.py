@@ -87,18 +87,18 @@ def climb(problem: Problem, state: State, goals: Array) -> Array:
 
     Thrust is full unless the state decides it, or ``max_rate`` limits it without a floor.
     """
-    asked = 'climb', problem, goals.tobytes()
-    return state.once(asked, lambda: sealed(_climbed(problem, state, goals)))
+    key = 'climb', problem, goals.tobytes()
+    return state.once(key, lambda: sealed(_climbed(problem, state, goals)))
 
 
 def _climbed(problem: Problem, state: State, goals: Array) -> Array:
-    z, (given, pointing) = np.empty((problem.horizon + 1, 3)), begun(problem, state)
-    z[: len(given)] = given
+    z, (decided, pointing) = np.empty((problem.horizon + 1, 3)), begun(problem, state)
+    z[: len(decided)] = decided
     once = step_of(problem.translation, problem.step, problem.forward)
     blown = np.outer(once.blow, state.disturbance)
     y = np.array([state.position, state.velocity][: len(once.push)])
     for k in range(problem.horizon):
-        if k + 1 >= len(given):
+        if k + 1 >= len(decided):
             wanted = _upward(problem, y[0] - goals[max(k - 1, 0)], y[1:])
             pointing = z[k + 1] = turned_towards(problem, pointing, wanted[None], ONCE)[0, 0]
         pushed = np.outer(once.push, z[k]) + np.outer(once.follow, z[k + 1])
@@ -108,12 +108,12 @@ def _climbed(problem: Problem, state: State, goals: Array) -> Array:
 
 def begun(problem: Problem, state: State) -> tuple[Array, Array]:
     """Return R_0 e1 (at rotation order 2 also R_1 e1) in rows, and the heading turns start from."""
-    given = state.rotation[None, :, 0]
+    decided = state.rotation[None, :, 0]
     if problem.rotation_order == 2:
-        given = np.vstack([given, _coasted(problem, state)])
+        decided = np.vstack([decided, _coasted(problem, state)])
     elif problem.turns_are_angles:
-        return given, state.attitude[:, 0]
-    return given, given[-1]
+        return decided, state.attitude[:, 0]
+    return decided, decided[-1]
 
 
 def _coasted(problem: Problem, state: State) -> Array:
@@ -142,23 +142,22 @@ def _upward(problem: Problem, away: Array, velocity: Array) -> Array:
     return np.array([*lean, math.sqrt(1.0 - lean @ lean)])
 
 
-def turned_towards(problem: Problem, pointing: Array, ways: Array, steps: Array) -> Array:
+def turned_towards(problem: Problem, pointing: Array, targets: Array, steps: Array) -> Array:
     """Return headings that turn towards unit vectors at the largest rate, shape (A, K, n).
 
-    Without a floor they move along the chord, whose length ``max_rate`` limits.
-
-    They start from ``pointing``, shape (n,), to ``ways``, shape (A, n), for ``steps``, shape (K,).
+    They start from ``pointing``, shape (n,), towards ``targets``, shape (A, n), and are those after
+    ``steps``, shape (K,). Without a floor ``max_rate`` limits chords: they move along the chord.
     """
     if not problem.max_rate:
-        return np.repeat(ways[:, None], len(steps), axis=1)
+        return np.repeat(targets[:, None], len(steps), axis=1)
     if not problem.floor.exists:
-        left = ways - pointing
+        left = targets - pointing
         sizes = np.maximum(np.linalg.norm(left, axis=1), NOTHING)
         shares = np.minimum(1.0, steps * problem.chord / sizes[:, None])
         return np.asarray(pointing + shares[..., None] * left[:, None])
     unit = pointing / max(_size(pointing), HEADING_UNDEFINED)
-    asides = np.array([aside_of(unit, way) for way in ways])
-    off, along = (np.linalg.norm(ways + sign * unit, axis=1) for sign in (-1.0, 1.0))
+    asides = np.array([aside_of(unit, target) for target in targets])
+    off, along = (np.linalg.norm(targets + sign * unit, axis=1) for sign in (-1.0, 1.0))
     angles = np.minimum(2.0 * np.arctan2(off, along)[:, None], steps * problem.widest_turn)
     turned = angles[..., None]
     return np.asarray(np.cos(turned) * unit + np.sin(turned) * asides[:, None])
@@ -168,16 +167,16 @@ def _size(vector: Array) -> float:
     return float(np.linalg.norm(vector))
 
 
-def told(problem: Problem, goals: Array, plan: Plan) -> str:
-    """Describe in words by how much a plan violates the cones; empty if it does not."""
-    found, small = [], NOTHING * problem.maps.unit
+def cone_violations(problem: Problem, goals: Array, plan: Plan) -> str:
+    """Return a message that says how far a plan is outside of the cones; empty if it is inside."""
+    texts, small = [], NOTHING * problem.maps.unit
     tilt = leaning(problem, plan.rotations[1:, :, 0])
     slope = strayed(problem, plan.positions[1:] - goals)
     if problem.tilt and tilt.max() > NOTHING:
-        found.append(f'tilted too far {_until(tilt, NOTHING)}')
+        texts.append(f'tilted too far {_until(tilt, NOTHING)}')
     if problem.glide_slope and slope.max() > small:
-        found.append(f'{slope.max():.2g} m outside the glide slope {_until(slope, small)}')
-    return '; '.join(found)
+        texts.append(f'{slope.max():.2g} m outside the glide slope {_until(slope, small)}')
+    return '; '.join(texts)
 
 
 def _until(outside: Array, nothing: float) -> str:

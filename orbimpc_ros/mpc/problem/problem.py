@@ -119,10 +119,10 @@ class Approach:
         Raises:
             BadInput: not n numbers, or a vector too short or too long.
         """
-        found = self.direction
-        if found and not (len(found) == dimension and 1e-6 < math.hypot(*found) < 1e6):
+        direction = self.direction
+        if direction and not (len(direction) == dimension and 1e-6 < math.hypot(*direction) < 1e6):
             wanted = f'{dimension} numbers, not all of them 0, or none'
-            raise BadInput('approach.direction', list(found), wanted)
+            raise BadInput('approach.direction', list(direction), wanted)
 
     def axis(self, state: State) -> Array:
         """Return the direction d of approach, a unit vector of shape (n,)."""
@@ -199,9 +199,9 @@ class Problem:
         for name, ends in RANGES.items():
             number(getattr(self, name), name, *ends)
         whole(self.translation_order, 'translation_order', 1, max(TRANSLATIONS))
-        for name, words in (('terminal', TERMINALS), ('discretisation', tuple(DISCRETISATIONS))):
-            if getattr(self, name) not in words:
-                raise BadInput.choice(name, getattr(self, name), words)
+        for name, choices in (('terminal', TERMINALS), ('discretisation', tuple(DISCRETISATIONS))):
+            if getattr(self, name) not in choices:
+                raise BadInput.choice(name, getattr(self, name), choices)
         if not isinstance(self.no_corner_cutting, bool):
             raise BadInput('no_corner_cutting', self.no_corner_cutting, 'true | false')
         if self.translation_order not in DISCRETISATIONS[self.discretisation]:
@@ -358,15 +358,15 @@ def weighed(problem: Problem, scaling: str) -> Problem:
 
 
 def _summed(problem: Problem) -> Weights:
-    given, time = problem.weights, problem.horizon * problem.step / TIMES
+    weights, time = problem.weights, problem.horizon * problem.step / TIMES
     speed = problem.forward * time if problem.inertial else problem.forward
     area, share = (speed * time) ** 2, problem.step / time
     return Weights(
-        position=given.position * share / area,
-        input=given.input * share * time ** (2 * problem.rotation_order),
-        length=given.length / (problem.forward * time),  # the sum adds h z |R e1| per step
-        terminal=given.terminal / area,
-        attitude=given.attitude,
+        position=weights.position * share / area,
+        input=weights.input * share * time ** (2 * problem.rotation_order),
+        length=weights.length / (problem.forward * time),  # the sum adds h z |R e1| per step
+        terminal=weights.terminal / area,
+        attitude=weights.attitude,
     )
 
 
@@ -427,7 +427,7 @@ class State(ByContent):
         if n not in (2, 3):
             raise BadInput('state.position', n, '2 or 3 numbers')
         line, square, still = (n,), (n, n), _zeros((n,))
-        given: dict[str, tuple[Any, tuple[int, ...], Array | None]] = {
+        arrays: dict[str, tuple[Any, tuple[int, ...], Array | None]] = {
             'position': (position, line, None),
             'rotation': (rotation, square, None),
             'velocity': (velocity, line, still),
@@ -439,7 +439,7 @@ class State(ByContent):
         }
         made: dict[str, Any] = {
             name: absent if value is None else frozen(value, shape, f'state.{name}')
-            for name, (value, shape, absent) in given.items()
+            for name, (value, shape, absent) in arrays.items()
         }
         if attitude is None:
             made['attitude'] = sealed(nearest(made['rotation']))
@@ -461,17 +461,17 @@ class State(ByContent):
         return cls(commanded=commanded, hazards=hazards, **made)
 
     @cached_property
-    def _known(self) -> list[tuple[Any, Any]]:
+    def _cache(self) -> list[tuple[Any, Any]]:
         return []
 
-    def once(self, asked: Any, work_out: Callable[[], T]) -> T:
+    def once(self, key: Any, work_out: Callable[[], T]) -> T:
         """Return the value cached for this state under a key; compute it at the first call."""
-        for known, found in self._known:
-            if known == asked:
-                return cast('T', found)
-        found = work_out()
-        self._known.append((asked, found))
-        return found
+        for cached, value in self._cache:
+            if cached == key:
+                return cast('T', value)
+        value = work_out()
+        self._cache.append((key, value))
+        return value
 
 
 @lru_cache(maxsize=8)

@@ -78,8 +78,8 @@ def clamp_goal(problem: Problem, state: State, goals: Array) -> tuple[Array, str
     if farthest <= largest or problem.terminal == 'constraint':
         return goals, ''
     shares = np.minimum(1.0, largest / np.maximum(distances, largest))
-    told = f'the goal is {farthest:.3g} m away: planned to {largest:.3g} m towards it'
-    return sealed(state.position + shares[:, None] * away), told
+    message = f'the goal is {farthest:.3g} m away: planned to {largest:.3g} m towards it'
+    return sealed(state.position + shares[:, None] * away), message
 
 
 def held_goal(problem: Problem, state: State, goals: Array) -> str:
@@ -98,13 +98,13 @@ def depths(problem: Problem, state: State, places: Array, first: int = 1) -> dic
 
 def reason(problem: Problem, state: State, goals: Array) -> str:
     """Return the reason why a problem is infeasible, as far as it can be found cheaply."""
-    found = [*_boxed_in(problem, state)]
+    reasons = [*_boxed_in(problem, state)]
     beyond = beyond_reach(problem, state, goals)
     if beyond > 0.0:
-        asked = f'terminal: constraint asks for a goal {beyond:.4g} m beyond'
-        found.insert(0, f'{asked} what {problem.horizon} steps can reach')
-    if found:
-        return '; '.join(found)
+        clause = f'terminal: constraint asks for a goal {beyond:.4g} m beyond'
+        reasons.insert(0, f'{clause} what {problem.horizon} steps can reach')
+    if reasons:
+        return '; '.join(reasons)
     together = ', '.join(constraints_in_force(problem, state)) or 'the dynamics'
     return f'no trajectory satisfies {together}'
 

@@ -120,27 +120,27 @@ def _eased(problem: Problem, state: State, traffic: Traffic) -> Array:
 def _decided_depths(problem: Problem, state: State, traffic: Traffic) -> Array:
     """Return how deep the K steps that the state decides are inside of bodies, (J, 1 + K) [m].
 
-    The first column is of the start; those of bodies that are out of reach are -inf.
+    The first column is of the start; the others are -inf for bodies that are out of reach.
     """
-    here, known = state.position[None], problem.decided_steps
-    deep = np.full((len(traffic.bodies), 1 + known), -np.inf)
+    here, decided = state.position[None], problem.decided_steps
+    deep = np.full((len(traffic.bodies), 1 + decided), -np.inf)
     deep[:, 0] = [float(body.depth(here)[0]) for body in traffic.bodies]
-    if not known:
+    if not decided:
         return deep
-    given = [state.rotation[:, 0], state.velocity, state.disturbance]
-    reached = np.linalg.norm(problem.maps.started[:known] @ given, axis=-1).max()
-    ways = np.linalg.norm(traffic.shifts[:, : known + 1], axis=2).max(axis=1)
-    widest = traffic.grown[:, :known].max(axis=1)
-    near = deep[:, 0] + widest + ways + reached > 0.0
+    driving = [state.rotation[:, 0], state.velocity, state.disturbance]
+    reached = np.linalg.norm(problem.maps.started[:decided] @ driving, axis=-1).max()
+    farthest = np.linalg.norm(traffic.shifts[:, : decided + 1], axis=2).max(axis=1)
+    widest = traffic.grown[:, :decided].max(axis=1)
+    near = deep[:, 0] + widest + farthest + reached > 0.0
     if near.any():
         (depths,) = _depths(problem, state, traffic, directions(problem.dimension)[:1])  # any
-        deep[near, 1:] = (depths - traffic.grown)[near, :known]
+        deep[near, 1:] = (depths - traffic.grown)[near, :decided]
     return deep
 
 
-def _depths(problem: Problem, state: State, traffic: Traffic, ways: Array) -> Array:
+def _depths(problem: Problem, state: State, traffic: Traffic, units: Array) -> Array:
     """Return depths inside of grown bodies, (A, J, N), of escapes in directions, (A, n)."""
-    headings, maps = escapes(problem, state, ways)[:, None], problem.maps
+    headings, maps = escapes(problem, state, units)[:, None], problem.maps
     coasted = maps.started @ [state.rotation[:, 0], state.velocity, state.disturbance]
     points = coasted + maps.controls @ headings[:, :, 1:] + state.position
     weights = np.linspace(0.0, 1.0, points.shape[2])[:, None]
@@ -152,22 +152,22 @@ def _depths(problem: Problem, state: State, traffic: Traffic, ways: Array) -> Ar
 
 def ways_out(problem: Problem, state: State, traffic: Traffic) -> Array:
     """Return escapes in all directions, shape (A, N + 1, n), in order of depth within steps."""
-    ways = directions(problem.dimension)
-    deep = np.maximum(_depths(problem, state, traffic, ways), 0.0).sum(axis=(1, 2))
-    return escapes(problem, state, ways)[np.argsort(deep, kind='stable')]
+    units = directions(problem.dimension)
+    deep = np.maximum(_depths(problem, state, traffic, units), 0.0).sum(axis=(1, 2))
+    return escapes(problem, state, units)[np.argsort(deep, kind='stable')]
 
 
-def escapes(problem: Problem, state: State, ways: Array) -> Array:
+def escapes(problem: Problem, state: State, units: Array) -> Array:
     """Return R_0 e1..R_N e1 of escapes in directions, shape (A, n): shape (A, N + 1, n).
 
     Headings that the state does not decide turn there as by :func:`turned_towards`.
     """
-    given, pointing = begun(problem, state)
-    found = np.empty((len(ways), problem.horizon + 1, problem.dimension))
-    found[:, : len(given)] = given
-    steps = np.arange(1.0, problem.horizon + 2 - len(given))
-    found[:, len(given) :] = turned_towards(problem, pointing, ways, steps)
-    return found
+    decided, pointing = begun(problem, state)
+    headings = np.empty((len(units), problem.horizon + 1, problem.dimension))
+    headings[:, : len(decided)] = decided
+    steps = np.arange(1.0, problem.horizon + 2 - len(decided))
+    headings[:, len(decided) :] = turned_towards(problem, pointing, units, steps)
+    return headings
 
 
 def _outside(body: Box | Ball, points: Array) -> Array:

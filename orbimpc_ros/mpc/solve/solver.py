@@ -26,7 +26,7 @@ from orbimpc_ros.mpc.model.dynamics import Condensed, trajectory_of
 from orbimpc_ros.mpc.outcome import Status
 from orbimpc_ros.mpc.plan import UNPROVED, Plan, Proof, assemble, joined, shifted
 from orbimpc_ros.mpc.problem import Problem, State, Weights
-from orbimpc_ros.mpc.problem.cones import told
+from orbimpc_ros.mpc.problem.cones import cone_violations
 from orbimpc_ros.mpc.problem.reach import beyond_reach, beyond_turning, clear_of_hazards, reason
 from orbimpc_ros.mpc.proof.stated import SPEEDS
 from orbimpc_ros.mpc.proof.tree import ProofTree
@@ -424,7 +424,7 @@ class Task:
             return None, Status.INFEASIBLE, str(error)
         except SolverFailure as error:
             return None, Status.FAILED, str(error)
-        outside = told(self.problem, self.goals, plan) if self.problem.has_cones else ''
+        outside = cone_violations(self.problem, self.goals, plan) if self.problem.has_cones else ''
         if plan.status == Status.OPTIMAL:
             return plan, Status.OPTIMAL, outside
         unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
