@@ -38,18 +38,18 @@ class Arc(NamedTuple):
         frame: at its start: ahead, aside and the axis of the arc, its columns, shape (3, 3).
         speeds: shares of full speed, shape (N,).
         turns: rotation vectors of steps, in the frame of each, shape (N, 3) [rad].
-        given: number of first steps that the state decides.
+        fixed: number of first steps that the state decides.
     """
 
     frame: Array
     speeds: Array
     turns: Array
-    given: int
+    fixed: int
 
 
 def arc_of(problem: Problem, begun: Begun, towards: Array, speed: float, turn: float) -> Arc:
     """Return the arc with a turn over the horizon [rad] to the side of a point, shape (n,)."""
-    count, given, frame = problem.horizon, problem.rotation_order - 1, np.zeros((3, 3))
+    count, fixed, frame = problem.horizon, problem.rotation_order - 1, np.zeros((3, 3))
     (ahead, first), speeds, turns = begun, np.full(count, speed), np.zeros((count, 3))
     axis = ahead[:, 0]
     if first is not None:
@@ -57,11 +57,11 @@ def arc_of(problem: Problem, begun: Begun, towards: Array, speed: float, turn: f
         axis = first[:, 0] / max(float(speeds[0]), HEADING_UNDEFINED)
     frame[: len(axis), 0], frame[: len(axis), 1] = axis, aside_of(axis, towards)
     frame[:, 2] = np.cross(frame[:, 0], frame[:, 1])
-    turns[given:, 2] = turn / count
-    return Arc(frame, speeds, turns, given)
+    turns[fixed:, 2] = turn / count
+    return Arc(frame, speeds, turns, fixed)
 
 
-def _asked(problem: Problem, state: State, goals: Array) -> tuple[Array, Array]:
+def _arrival(problem: Problem, state: State, goals: Array) -> tuple[Array, Array]:
     """Return an arrival's rows over R_1 e1..R_N e1, shape (m, N), and their values, (m, n)."""
     rows, (places, velocities) = problem.maps.arrival[:, 1:], decided(problem, state)
     return rows, np.array([goals[-1] - places[-1], -velocities[-1]][: len(rows)])
@@ -69,7 +69,7 @@ def _asked(problem: Problem, state: State, goals: Array) -> tuple[Array, Array]:
 
 def least_arriving(problem: Problem, state: State, goals: Array) -> Array:
     """Return the least headings that arrive, shape (N, n), those beyond full speed cut to it."""
-    rows, wanted = _asked(problem, state, goals)
+    rows, wanted = _arrival(problem, state, goals)
     headings, free = np.zeros((problem.horizon, problem.dimension)), rows.any(axis=0)
     while free.any():
         missing = wanted - rows[:, ~free] @ headings[~free]
@@ -88,7 +88,7 @@ def flown(problem: Problem, state: State, goals: Array, arc: Arc) -> Iterator[Ar
 
     Without a terminal constraint they are those of the arc, no slower than the floor.
     """
-    n, (rows, wanted) = problem.dimension, _asked(problem, state, goals)
+    n, (rows, wanted) = problem.dimension, _arrival(problem, state, goals)
     scale, best = np.maximum(np.abs(rows).max(axis=1), HEADING_UNDEFINED)[:, None], math.inf
     for _ in range(CORRECTIONS):
         frames = np.array([*accumulate([arc.frame, *map(exp, arc.turns)], np.matmul)][1:])
@@ -120,7 +120,7 @@ def _turned_aside(problem: Problem, state: State, unit: Array) -> Array:
 
 
 def _bent(
-    problem: Problem, arc: Arc, frames: Array, asked: tuple[Array, Array, Array, Array]
+    problem: Problem, arc: Arc, frames: Array, demands: tuple[Array, Array, Array, Array]
 ) -> Arc:
     """Return an arc with the least change of speeds and turns that arrives to first order.
 
@@ -128,10 +128,10 @@ def _bent(
         problem: what to solve.
         arc: to change, within the limits of its speeds and turns.
         frames: of its steps, shape (N, 3, 3).
-        asked: rows of the arrival, shape (m, N); what it misses, shape (m, n); the change of the
+        demands: rows of the arrival, shape (m, N); what it misses, shape (m, n); the change of the
             last direction, shape (n,) or (0,); least speeds, (N,).
     """
-    (rows, missing, aside, least), n, count = asked, problem.dimension, len(arc.turns)
+    (rows, missing, aside, least), n, count = demands, problem.dimension, len(arc.turns)
     widest = WITHIN * problem.widest_turn if problem.turns_are_angles else math.inf
     angles = np.linalg.norm(arc.turns, axis=1)
     own = np.where((angles > 0.0)[:, None], arc.turns, [0.0, 0.0, 1.0])
@@ -148,7 +148,7 @@ def _bent(
     low, high = np.full((2, n, count), math.inf)
     low[0], high[0] = arc.speeds - least, 1.0 - arc.speeds
     low[1], high[1] = widest + angles, widest - angles
-    low[:, : arc.given] = high[:, : arc.given] = 0.0
+    low[:, : arc.fixed] = high[:, : arc.fixed] = 0.0
     limits = -low.ravel(), high.ravel()
     change = _least_change(matrix, np.concatenate([missing.ravel(), aside]), limits)
     change *= min(1.0, LARGEST / np.abs(change).max(initial=LARGEST))

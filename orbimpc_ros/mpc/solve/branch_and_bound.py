@@ -86,7 +86,7 @@ class BranchAndBound:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
         traffic = traffic_of(self.problem, request.state)
-        planar = [] if self._plane is None else self._plane.ways(request)
+        planar = [] if self._plane is None else self._plane.paths(request)
         if planar and request.hurried and self._in_plane:
             return self._better(request, planar[0])
         return self.begun(request).run(planar, among=traffic is not None)
@@ -106,8 +106,8 @@ class BranchAndBound:
     def _better(self, request: Request, x: Array) -> Found:
         """Return a path in a plane or the guess: without a search in space, neither has a bound."""
         cost = trajectory_of(self.problem, request.state, request.goals, x).objective
-        known = *sound(self.problem, request, [request.guess]), (cost, x)
-        cost, x = min(known, key=itemgetter(0))
+        candidates = *sound(self.problem, request, [request.guess]), (cost, x)
+        cost, x = min(candidates, key=itemgetter(0))
         return Found(x, cost, -np.inf, 1, ALONE)
 
     def begun(self, request: Request) -> Search:
@@ -132,17 +132,17 @@ class Search:
         self._nodes = [Node(0, -np.inf, regions.root())]
         self._open = [self._nodes[0]]
 
-    def run(self, known: Sequence[Array] = (), *, among: bool = False) -> Found:
+    def run(self, candidates: Sequence[Array] = (), *, among: bool = False) -> Found:
         """Run the search, with first incumbents from candidates and beside paths.
 
         Args:
-            known: rotation coordinates, shape (N, d) each, of candidates that may be feasible.
+            candidates: rotation coordinates of trajectories, shape (N, d), that may be infeasible.
             among: whether paths are followed from the root: the best trajectory, and candidates.
         """
         regions, best, root, stood_in = self._regions, self._dives, self._nodes[0], False
-        if root.known is None:
+        if root.region is None:
             raise Infeasible(NOTHING)
-        for x in known:
+        for x in candidates:
             best.offer(x)
         while self._open and self._open[0].bound < self._limit:
             if best.solved >= MAX_NODES or (best.solved and self._request.late):
@@ -152,9 +152,9 @@ class Search:
                 best.stand_in()
             self._expand(heapq.heappop(self._open))
             if among and self._open:
-                for way in (best.x, *known):
-                    if way is not None:
-                        best.dive(regions.headings(way), self._rows(root))
+                for path in (best.x, *candidates):
+                    if path is not None:
+                        best.dive(regions.headings(path), self._rows(root))
                 among = False
         if best.x is None:
             best.recall()
@@ -166,8 +166,8 @@ class Search:
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""
         enough = self._nodes[0].bound >= lower - self._tolerance * abs(lower)
-        found = self._leaves.tree(self._nodes, 1) if enough else None
-        return found or self._leaves.tree(self._nodes)
+        tree = self._leaves.tree(self._nodes, 1) if enough else None
+        return tree or self._leaves.tree(self._nodes)
 
     @property
     def _limit(self) -> float:
@@ -186,7 +186,7 @@ class Search:
         lower bound is split where its solution violates a choice, or else at the widest sector,
         which ends turns that are too wide.
         """
-        if self._nodes[0].known is None:
+        if self._nodes[0].region is None:
             return None
         while self._open and self._open[0].bound <= cost:
             if self._dives.solved == MAX_REFUTED or self._request.late:
@@ -216,7 +216,7 @@ class Search:
         if not self._request.late:
             cut = self._cut(node, missed)
         if cut is None and cost is not None and not regions.turns_in_time(headings):
-            cut = regions.widest(self._known(node))
+            cut = regions.widest(self._region(node))
         if cut is None:
             self._close(node.bound)
         else:
@@ -251,28 +251,28 @@ class Search:
     def _rows(self, node: Node) -> Rows:
         """Return the half-spaces of a node, by choice."""
         if node.rows is None:
-            regions, above, known = self._regions, node.above, self._known(node)
+            regions, above, region = self._regions, node.above, self._region(node)
             if above is None or above.cut is None:
-                node.rows = regions.every(known)
+                node.rows = regions.every(region)
             elif above.cut.kind == CUT:  # turns may carry it to other headings
-                node.rows = self._rows(above) | regions.changed(self._known(above), known)
+                node.rows = self._rows(above) | regions.changed(self._region(above), region)
             else:
                 node.rows = self._rows(above) | {above.cut.choice: node.own}
         return node.rows
 
-    def _known(self, node: Node) -> Region:
+    def _region(self, node: Node) -> Region:
         """Return the region of a node that is not empty."""
-        assert node.known is not None
-        return node.known
+        assert node.region is not None
+        return node.region
 
     # --- branching
 
     def _cut(self, node: Node, missed: dict[int, float]) -> Cut | None:
         """Return the split of the choice that promises the greatest bound; None without one."""
-        regions, known = self._regions, self._known(node)
+        regions, region = self._regions, self._region(node)
         promises = {c: (regions.promise(c, by), by) for c, by in missed.items()}
         ranked = sorted(missed, key=promises.__getitem__, reverse=True)
-        cuts = (regions.cut(choice, known) for choice in ranked)
+        cuts = (regions.cut(choice, region) for choice in ranked)
         return next((cut for cut in cuts if cut is not None), None)
 
     def _part(self, node: Node, cut: Cut, dual_value: float, headings: Array) -> None:
@@ -287,12 +287,12 @@ class Search:
         regions, choice = self._regions, cut.choice
         node.cut, node.first = cut, len(self._nodes)
         for i in range(cut.parts):
-            known = regions.part(self._known(node), cut, i)
-            part = Node(node.first + i, node.bound, known, node)
+            region = regions.part(self._region(node), cut, i)
+            part = Node(node.first + i, node.bound, region, node)
             self._nodes.append(part)
-            if known is None:
+            if region is None:
                 continue
-            side = regions.side(choice, known)
+            side = regions.side(choice, region)
             part.own = regions.held(choice, side)
             gain, part.refuted = regions.gain(choice, side, headings)
             part.bound = max(node.bound, dual_value + gain)

@@ -59,9 +59,9 @@ class Dives:
             self._take([self._guess])
             self._guess = None
 
-    def _take(self, ways: Iterable[Array | None]) -> None:
+    def _take(self, candidates: Iterable[Array | None]) -> None:
         """Accept the first of several trajectories that passes the check of plans."""
-        best = next(sound(self._problem, self._request, ways), None)
+        best = next(sound(self._problem, self._request, candidates), None)
         if best is not None and best[0] < self.cost:
             self.cost, self.x = best
 

@@ -68,23 +68,23 @@ class PacedSpeeds:
         Raises:
             Infeasible: even without the limit no trajectory satisfies the constraints.
         """
-        known = [x for _, x in sound(self._problem, request, [request.guess])]
-        request = request._replace(guess=known[0] if known else None)
-        found = self._method.solve(request)
-        if found.x is not None and self._holds(request, found.x):
-            known.append(found.x)
+        solutions = [x for _, x in sound(self._problem, request, [request.guess])]
+        request = request._replace(guess=solutions[0] if solutions else None)
+        result = self._method.solve(request)
+        if result.x is not None and self._holds(request, result.x):
+            solutions.append(result.x)
         else:
             self._regions.bind(request)
-            for x in self._ways(request, found):
-                way = self._flown(request, x).rotations[1:]
-                near = self._followed(request, way, waits=not known)
-                known += near
+            for x in self._starts(request, result):
+                path = self._flown(request, x).rotations[1:]
+                near = self._followed(request, path, waits=not solutions)
+                solutions += near
                 if near or request.late:
                     break
-        if not known:
-            return replace(found, x=None, cost=np.inf)
-        cost, best = min((self._flown(request, x).objective, i) for i, x in enumerate(known))
-        return replace(found, x=known[best], cost=cost, reason='')
+        if not solutions:
+            return replace(result, x=None, cost=np.inf)
+        cost, best = min((self._flown(request, x).objective, i) for i, x in enumerate(solutions))
+        return replace(result, x=solutions[best], cost=cost, reason='')
 
     def _flown(self, request: Request, x: Array) -> Trajectory:
         return trajectory_of(self._problem, request.state, request.goals, x)
@@ -93,10 +93,10 @@ class PacedSpeeds:
         rotations = self._flown(request, x).rotations
         return bool(speed_margin(self._problem, request.state, rotations[:, :, 0]).min() >= 0.0)
 
-    def _ways(self, request: Request, found: Found) -> Iterator[Array]:
+    def _starts(self, request: Request, result: Found) -> Iterator[Array]:
         """Yield the coordinates, shape (N, d), of the result, and the guess or fallbacks."""
-        if found.x is not None:
-            yield found.x
+        if result.x is not None:
+            yield result.x
         if request.guess is None:
             posed = self._problem, request.state, request.goals
             every = chain(reversed(list(straight(*posed))), turning(*posed))
@@ -104,33 +104,33 @@ class PacedSpeeds:
         elif not request.late:
             yield request.guess
 
-    def _followed(self, request: Request, way: Array, *, waits: bool) -> list[Array]:
-        """Return coordinates, shape (N, d), of solutions, each near the one before, or ``way``.
+    def _followed(self, request: Request, path: Array, *, waits: bool) -> list[Array]:
+        """Return coordinates, shape (N, d), of solutions, each near the one before, or ``path``.
 
         The deadline ends them; if it ``waits``, not the first, without which there is no plan.
         """
-        found, cost = list[Array](), np.inf
-        while len(found) < FOLLOWED:
-            within = request._replace(out_of_time=None) if waits and not found else request
-            x = self._beside(within, way)
+        solutions, cost = list[Array](), np.inf
+        while len(solutions) < FOLLOWED:
+            within = request._replace(out_of_time=None) if waits and not solutions else request
+            x = self._beside(within, path)
             if x is None:
                 break
-            found.append(x)
+            solutions.append(x)
             trajectory = self._flown(request, x)
             if trajectory.objective > (1.0 - WORTH) * cost:
                 break
-            cost, way = trajectory.objective, trajectory.rotations[1:]
-        return found
+            cost, path = trajectory.objective, trajectory.rotations[1:]
+        return solutions
 
-    def _beside(self, request: Request, way: Array) -> Array | None:
+    def _beside(self, request: Request, path: Array) -> Array | None:
         """Return the best coordinates, shape (N, d), near a path, shape (N, n, n), or None.
 
         Bodies are passed on the path's sides, and floors satisfied beyond its tangents or faces.
         """
-        state, headings, program = request.state, way[:, :, 0], self._program
+        state, headings, program = request.state, path[:, :, 0], self._program
         regions = self._regions
         before = state.attitude if state.coasted is None else state.coasted
-        units = project_all(way, before, 'thrust_aligned')[:, :, 0]
+        units = project_all(path, before, 'thrust_aligned')[:, :, 0]
         spare: Array = np.zeros(0)
         first = self._problem.rotation_order - 1
         if self._problem.turns_are_angles:
@@ -138,7 +138,7 @@ class PacedSpeeds:
         if (spare < 0.0).any():
             return None
         decided = int(first_change_is_decided(self._problem, state))
-        floors = range(decided, len(way)) if self._problem.floor.exists else range(0)
+        floors = range(decided, len(path)) if self._problem.floor.exists else range(0)
         choices = [*floors, *regions.beside(headings, math.inf)]
         held = [row for each in regions.tangents(headings, choices, {}).values() for row in each]
         rays = list[Row]()

@@ -44,7 +44,7 @@ class PlanarWay:
         fits = problem.dimension == 2 or problem.rotation_order == 1
         return fits and plain and problem.turns_are_angles and PlanarSearch.solves(_planar(problem))
 
-    def ways(self, request: Request) -> list[Array]:
+    def paths(self, request: Request) -> list[Array]:
         """Return the coordinates of R_1..R_N of the best path, shape (N, d); none on overflow."""
         state, attitude = request.state, request.state.attitude
         aside = (request.goals - decided(self._problem, state)[0][1:]) @ attitude[:, 1:]
@@ -59,8 +59,8 @@ class PlanarWay:
         )
         guess = None if request.guess is None else request.guess[:, :3] @ plane
         goals = (request.goals - state.position) @ plane
-        found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
-        return [] if found.x is None else [coordinates(carried(attitude, found.x @ plane.T))]
+        result = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
+        return [] if result.x is None else [coordinates(carried(attitude, result.x @ plane.T))]
 
 
 def _planar(problem: Problem) -> Problem:

@@ -267,12 +267,12 @@ class Program:
         problem, n = self.problem, self.problem.dimension
         parts, aims = list[Part](), []
         if self._decided:
-            known = coordinates(state.rotation + problem.step * state.rotation_rate)
+            values = coordinates(state.rotation + problem.step * state.rotation_rate)
             fixed = np.eye(self._width, self.count, self.x[0, 0])
             if self._coasting:
                 assert state.coasted is not None
-                fixed[:, self._rho[0]], known = -coordinates(state.coasted), 0.0 * known
-            parts.append((fixed, known, [Zero(self._width)]))
+                fixed[:, self._rho[0]], values = -coordinates(state.coasted), 0.0 * values
+            parts.append((fixed, values, [Zero(self._width)]))
         if problem.first_turn_is_a_cone:
             aims.append((self.x[0, :n], state.attitude[:, 0], problem.widest_turn))
         if problem.approach.exists:

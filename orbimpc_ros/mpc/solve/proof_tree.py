@@ -80,7 +80,7 @@ class Node:
     Attributes:
         number: of the node.
         bound: lower bound of the search on the cost of its trajectories.
-        known: its region; None if that is empty.
+        region: its region; None if that is empty.
         above: its parent; None for the root.
         depth: 0 for the root.
         own: half-spaces of the split that created it.
@@ -93,9 +93,9 @@ class Node:
     """
 
     def __init__(
-        self, number: int, bound: float, known: Region | None, above: Node | None = None
+        self, number: int, bound: float, region: Region | None, above: Node | None = None
     ) -> None:
-        self.number, self.bound, self.known, self.above = number, bound, known, above
+        self.number, self.bound, self.region, self.above = number, bound, region, above
         self.depth: int = 0 if above is None else above.depth + 1
         self.own: Held = ()
         self.refuted = HEADING
@@ -130,37 +130,37 @@ class ProofWriter:
             held: half-spaces of the relaxation.
             depth: of the node.
         """
-        found = relaxed.multipliers
-        if found is None:
+        dual = relaxed.multipliers
+        if dual is None:
             return None
         # The proof of an infeasible node does not involve the cost, so any point will do.
-        point = np.zeros_like(found.point) if relaxed.empty else found.point
-        whole, share, force = point.shape[1] == 9, found.share, self._force(found)
+        point = np.zeros_like(dual.point) if relaxed.empty else dual.point
+        orbitope, share, force = point.shape[1] == 9, dual.share, self._force(dual)
         presses = list[tuple[int, int, float]]()
-        for row, size in zip(held, found.sizes.tolist(), strict=True):
+        for row, size in zip(held, dual.sizes.tolist(), strict=True):
             if not size:
                 continue
             pressed = size * np.outer(row.shares, row.normal)
             if row.number >= 0:
                 presses.append((depth, row.number, size))
                 force -= pressed
-            elif whole or row.number == CONE:  # stage sets contain other half-spaces on headings
+            elif orbitope or row.number == CONE:  # stage sets contain other half-spaces on headings
                 share = share + pressed
-        if not whole and share.any():
+        if not orbitope and share.any():
             share = force - share
             if not relaxed.empty:
                 request, condensed = self._regions.request, self._regions.condensed
                 share += condensed.affine(request.state, request.goals)[0]
                 share += condensed.hessian @ point
-        slide = found.slide if found.slide.size else np.zeros(force.shape)
-        return Leaf(point, found.pull, slide, found.tether, share, tuple(presses), relaxed.empty)
+        slide = dual.slide if dual.slide.size else np.zeros(force.shape)
+        return Leaf(point, dual.pull, slide, dual.tether, share, tuple(presses), relaxed.empty)
 
-    def _force(self, found: Multipliers) -> Array:
+    def _force(self, dual: Multipliers) -> Array:
         """Return the slopes of turns, a glide slope and an arrival, shape (N, n)."""
-        maps, force = self._regions.problem.maps, found.tether.copy()
-        force[:-1] -= found.tether[1:]
-        force += maps.arrival[: len(found.pull), 1:].T @ found.pull
-        return force + maps.reach[:, 1:].T @ found.slide if found.slide.size else force
+        maps, force = self._regions.problem.maps, dual.tether.copy()
+        force[:-1] -= dual.tether[1:]
+        force += maps.arrival[: len(dual.pull), 1:].T @ dual.pull
+        return force + maps.reach[:, 1:].T @ dual.slide if dual.slide.size else force
 
     def best(self, node: Node) -> Leaf | None:
         """Return the best proof of a node; None without multipliers."""
@@ -188,8 +188,8 @@ class ProofWriter:
         for node in nodes[:count]:
             if most is None and self._regions.request.late and count > LATE_NODES:
                 return self.tree(nodes, LATE_NODES)
-            whole = node.cut is not None and node.first + node.cut.parts <= count
-            if whole or node.known is None:
+            is_split = node.cut is not None and node.first + node.cut.parts <= count
+            if is_split or node.region is None:
                 continue
             leaf = self.best(node)
             if leaf is None:
@@ -200,7 +200,7 @@ class ProofWriter:
     def _stacked(self, nodes: Sequence[Node], leaves: dict[int, Leaf]) -> ProofTree:
         numbers, at = _numbered(nodes, leaves)
         every = list(leaves.values())
-        found = [
+        presses = [
             (self._rows * (nodes[number].depth - depth) + row, size)
             for number, leaf in leaves.items()
             for depth, row, size in leaf.presses
@@ -211,8 +211,8 @@ class ProofWriter:
             point=np.array([leaf.point for leaf in every]),
             shor=np.zeros((len(every), self._regions.problem.horizon)),
             press_end=np.cumsum([len(leaf.presses) for leaf in every]),
-            press_row=np.array([row for row, _ in found], np.int64),
-            press=np.array([size for _, size in found], float),
+            press_row=np.array([row for row, _ in presses], np.int64),
+            press=np.array([size for _, size in presses], float),
             pull=_used([leaf.pull for leaf in every]),
             slide=_used([leaf.slide for leaf in every]),
             tether=_used([leaf.tether for leaf in every]),

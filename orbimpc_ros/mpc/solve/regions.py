@@ -123,8 +123,8 @@ class Regions:
         ordered = self._faces and stated.exchanged
         self.origins = np.full(count, self._first_arc) if ordered else NOWHERE
         self.floors = list(range(self.first, count)) if problem.floor.exists else []
-        known = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
-        self._free = self._started @ known
+        driving = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
+        self._free = self._started @ driving
         if self.bodies:
             self._place(stated.bodies)
 
@@ -148,25 +148,25 @@ class Regions:
 
     def root(self) -> Region | None:
         """Return the region of the root; None if it is empty."""
-        problem, known = self.problem, self._stated
+        problem, stated = self.problem, self._stated
         count, n = (2 + self.bodies) * problem.horizon, problem.dimension
         part, span = np.full(count, WHOLE), np.zeros((count, 2))
-        decided = known.start[DECIDED : DECIDED + 1, :n]
-        if begin(known, self.origins, part, span) == GONE:
+        decided = stated.start[DECIDED : DECIDED + 1, :n]
+        if begin(stated, self.origins, part, span) == GONE:
             return None
-        given = self.first and self._state.coasted is None
-        if given and problem.floor.margin(decided)[0] < -SATISFIED:
+        fixed = self.first and self._state.coasted is None
+        if fixed and problem.floor.margin(decided)[0] < -SATISFIED:
             return None
         if self._solid is not None:
             part[: problem.horizon] = WHOLE
         return Region(part, span, {})
 
-    def part(self, known: Region, cut: Cut, i: int) -> Region | None:
+    def part(self, region: Region, cut: Cut, i: int) -> Region | None:
         """Return part i of a region; None if it is empty."""
-        corners, choice = known.corners, cut.choice
+        corners, choice = region.corners, cut.choice
         if cut.kind in (PATCHES, QUARTERS):
             corners = corners | {choice: corners.get(choice, NO_CORNERS).copy()}
-        made = Region(known.part.copy(), known.span.copy(), corners)
+        made = Region(region.part.copy(), region.span.copy(), corners)
         node = cut.kind, choice, 0, cut.parts
         return None if narrowed(self._stated, node, cut.at, i, *made) == GONE else made
 
@@ -175,22 +175,22 @@ class Regions:
         moved = (before.span != after.span).any(axis=1) | (before.part != after.part)
         return {choice: self._within(choice, after) for choice in np.flatnonzero(moved).tolist()}
 
-    def every(self, known: Region) -> Rows:
+    def every(self, region: Region) -> Rows:
         """Return the half-spaces of a region."""
-        split = np.flatnonzero(known.part != WHOLE).tolist()
-        return {ALWAYS: self._always(), **{choice: self._within(choice, known) for choice in split}}
+        split = np.flatnonzero(region.part != WHOLE).tolist()
+        return {ALWAYS: self._always(), **{c: self._within(c, region) for c in split}}
 
     def _always(self) -> Held:
         """Return half-spaces of all regions: for turns, and for an R_1 e1 of given direction."""
-        stated, floor, found = self._stated, self.problem.floor, list[Row]()
+        stated, floor, rows = self._stated, self.problem.floor, list[Row]()
         if self.first and self._state.coasted is not None and floor.exists:
             axis = stated.start[DECIDED, : self.problem.dimension]
             axis = axis / np.linalg.norm(axis)
-            found.append(Row(0, self._reach[0], axis, float(floor.least(axis))))
+            rows.append(Row(0, self._reach[0], axis, float(floor.least(axis))))
         if self.turns is not None and (stated.n == 3 or self._solid is not None):
             number = CONE if stated.n == 3 else HEADING
-            found += [row._replace(number=number) for row in self.turns.rows(self._state)]
-        return tuple(found)
+            rows += [row._replace(number=number) for row in self.turns.rows(self._state)]
+        return tuple(rows)
 
     # --- half-spaces
 
@@ -220,25 +220,25 @@ class Regions:
             if math.isfinite(offset) and self._moved[place]
         )
 
-    def _within(self, choice: int, known: Region) -> Held:
+    def _within(self, choice: int, region: Region) -> Held:
         """Return the half-spaces of a choice in a region."""
         free = choice >= self.problem.horizon or self.problem.floor.exists
-        if known.part[choice] == WHOLE or choice < self.first or not free:
+        if region.part[choice] == WHOLE or choice < self.first or not free:
             return ()
-        return self.held(choice, self.side(choice, known))
+        return self.held(choice, self.side(choice, region))
 
-    def side(self, choice: int, known: Region) -> Side:
+    def side(self, choice: int, region: Region) -> Side:
         """Return the half-space of a choice that a region restricts."""
         n = self.problem.dimension
         if choice >= self.problem.horizon:
             normal: Array = np.zeros(n)
-            out, off, size = side_of(self._stated, choice, *known, normal)
+            out, off, size = side_of(self._stated, choice, *region, normal)
             return normal, out - off if size >= 0.0 else -np.inf
         if self._solid is not None:
-            return self._solid[known.part[choice]], self.problem.floor.fraction
+            return self._solid[region.part[choice]], self.problem.floor.fraction
         if n == 2:
-            return self._chord(*known.span[choice].tolist())
-        axis, least = _patch(known.corners[choice].tobytes())
+            return self._chord(*region.span[choice].tolist())
+        axis, least = _patch(region.corners[choice].tobytes())
         return axis, self._stated.least * least
 
     def _chord(self, low: float, high: float) -> Side:
@@ -278,16 +278,16 @@ class Regions:
         Args:
             headings: R_0 e1..R_N e1, shape (N + 1, n).
         """
-        found = dict[int, float]()
+        violations = dict[int, float]()
         if self.problem.floor.exists:
             short = -self.problem.floor.margin(headings[1:])
             short[: self.first] = -np.inf
-            found = {k: float(short[k]) for k in np.flatnonzero(short > SATISFIED).tolist()}
+            violations = {k: float(short[k]) for k in np.flatnonzero(short > SATISFIED).tolist()}
         if self.bodies:
             into, _ = self._entered(headings[1:])
             for j, k in zip(*(each.tolist() for each in np.nonzero(into > SATISFIED)), strict=True):
-                found[(2 + j) * self.problem.horizon + k] = float(into[j, k])
-        return found
+                violations[(2 + j) * self.problem.horizon + k] = float(into[j, k])
+        return violations
 
     def _entered(self, headings: Array) -> tuple[Array, Array]:
         """Return the depths by which headings enter each body, and the directions out of it.
@@ -301,11 +301,11 @@ class Regions:
         places = (self._reach @ headings)[self._points] + self._apart
         far = np.concatenate([places.max(axis=2), -places.min(axis=2)], axis=-1)
         short = far + self._stated.bodies.extents[:, None, :-1]
-        into, ways = short.min(axis=-1), self._outward[short.argmin(axis=-1)]
+        into, normals = short.min(axis=-1), self._outward[short.argmin(axis=-1)]
         if len(self._balls):
-            ways[self._balls], away = separation(places[self._balls])
+            normals[self._balls], away = separation(places[self._balls])
             into[self._balls] = self._radii - away
-        return into + self._margins, ways
+        return into + self._margins, normals
 
     def is_round(self, choice: int) -> bool:
         """Return True if a choice is one of a round floor or a ball, not of flat sides."""
@@ -326,17 +326,17 @@ class Regions:
             choices: of floors and bodies.
             kept: half-spaces by choice; flat choices among these are skipped.
         """
-        found, ways = Rows(), self._entered(headings)[1] if self.bodies else headings[None]
+        rows, normals = Rows(), self._entered(headings)[1] if self.bodies else headings[None]
         for choice in choices:
             if choice in kept and not self.is_round(choice):
                 continue
-            side = self._touched(choice, headings, ways)
+            side = self._touched(choice, headings, normals)
             if side is not None:
-                found[choice] = self.held(choice, side)
-        return found
+                rows[choice] = self.held(choice, side)
+        return rows
 
-    def _touched(self, choice: int, headings: Array, ways: Array) -> Side | None:
-        """Return a floor's tangent, or the face violated least; a body's with normal ways[j, k]."""
+    def _touched(self, choice: int, headings: Array, normals: Array) -> Side | None:
+        """Return a floor's tangent, or the face violated least; a body's with normals[j, k]."""
         floor, count, bodies = self.problem.floor, self.problem.horizon, self._stated.bodies
         if choice < count:
             heading = headings[choice]
@@ -344,7 +344,7 @@ class Regions:
                 return None
             return floor.tangent(heading), floor.fraction
         j, k = choice // count - 2, choice % count
-        normal, out = ways[j, k], bodies.extents[j, -1]
+        normal, out = normals[j, k], bodies.extents[j, -1]
         if not out > 0.0:
             out = bodies.extents[j, int(np.argmax(np.concatenate([-normal, normal])))]
         return normal, float(out + bodies.margins[0, j, k])
@@ -358,23 +358,23 @@ class Regions:
             return []
         count, (into, _) = self.problem.horizon, self._entered(headings)
         boxes = len(self.problem.boxes)
-        found = np.argwhere((into > -within) | (self._stated.bodies.extents[:, -1:] == 0.0))
-        pairs = ((j, k) for j, k in found.tolist() if j < boxes or (j - boxes) % 2)
+        near = np.argwhere((into > -within) | (self._stated.bodies.extents[:, -1:] == 0.0))
+        pairs = ((j, k) for j, k in near.tolist() if j < boxes or (j - boxes) % 2)
         return [(2 + j) * count + k for j, k in pairs]
 
     # --- branching
 
-    def cut(self, choice: int, known: Region) -> Cut | None:
+    def cut(self, choice: int, region: Region) -> Cut | None:
         """Return the split of a choice in a region; None if there is nothing to split."""
         if choice < self.first:
             return None
-        if known.part[choice] == WHOLE:
+        if region.part[choice] == WHOLE:
             return self._parted(choice)
-        return None if self._is_flat(choice) else self._refined(choice, known)
+        return None if self._is_flat(choice) else self._refined(choice, region)
 
     def _parted(self, choice: int) -> Cut:
         """Return the split of a choice that nothing restricts."""
-        n, heading, known = self.problem.dimension, choice < self.problem.horizon, self._stated
+        n, heading, stated = self.problem.dimension, choice < self.problem.horizon, self._stated
         if heading and self._solid is not None:
             return Cut(FACES, choice, len(self._solid))
         if self._is_flat(choice):
@@ -382,33 +382,33 @@ class Regions:
         if n == 2:
             faces = self._faces if heading else 0
             return Cut(ARCS, choice, faces or AROUND, self._first_arc if faces else 0.0)
-        upright = heading and (known.cones[known.cone_step == choice, -1] == 1.0).any()
-        parts = len(known.patches) - ICOSAHEDRON if upright else ICOSAHEDRON
+        upright = heading and (stated.cones[stated.cone_step == choice, -1] == 1.0).any()
+        parts = len(stated.patches) - ICOSAHEDRON if upright else ICOSAHEDRON
         return Cut(PATCHES, choice, parts)
 
-    def _refined(self, choice: int, known: Region) -> Cut | None:
+    def _refined(self, choice: int, region: Region) -> Cut | None:
         """Return the split of a sector or a patch; None if it is too small."""
         if self.problem.dimension == 3:
-            wide = np.ptp(known.corners[choice], axis=0).max() >= FINEST
+            wide = np.ptp(region.corners[choice], axis=0).max() >= FINEST
             return Cut(QUARTERS, choice, 4) if wide else None
-        low, high = known.span[choice].tolist()
+        low, high = region.span[choice].tolist()
         at, apart = 0.5 * (low + high), FINEST
         if choice < self.problem.horizon and self._faces:
             share, apart = 2.0 * math.pi / self._faces, self._stated.narrow
             at = share * (math.floor(at / share) + 0.5)  # the nearest corner
         return Cut(CUT, choice, 2, at) if low + apart < at < high - apart else None
 
-    def widest(self, known: Region) -> Cut | None:
+    def widest(self, region: Region) -> Cut | None:
         """Return the split of the heading with the widest sector or patch; None without one."""
-        cuts = [self.cut(k, known) for k in range(self.first, self.problem.horizon)]
-        found = [cut for cut in cuts if cut is not None]
-        return max(found, key=lambda cut: self._width(cut.choice, known), default=None)
+        cuts = [self.cut(k, region) for k in range(self.first, self.problem.horizon)]
+        possible = [cut for cut in cuts if cut is not None]
+        return max(possible, key=lambda cut: self._width(cut.choice, region), default=None)
 
-    def _width(self, k: int, known: Region) -> float:
+    def _width(self, k: int, region: Region) -> float:
         """Return how wide a sector [rad], or how large a patch is."""
-        if known.part[k] == WHOLE:
+        if region.part[k] == WHOLE:
             return np.inf
-        wide = known.span[k] if self.problem.dimension == 2 else known.corners[k]
+        wide = region.span[k] if self.problem.dimension == 2 else region.corners[k]
         return float(np.ptp(wide, axis=0).max())
 
     def promise(self, choice: int, by: float) -> float:

@@ -37,9 +37,9 @@ class Enough(NamedTuple):
     cost: float = -math.inf
     bound: float = math.inf
 
-    def met(self, found: Found) -> bool:
+    def met(self, result: Found) -> bool:
         """Return True if a search with this result may stop."""
-        return found.cost <= self.cost or found.lower_bound > self.bound
+        return result.cost <= self.cost or result.lower_bound > self.bound
 
 
 class Request(NamedTuple):
@@ -135,10 +135,10 @@ def method_for(
         coasting: whether states come with a ``coasted`` rotation.
         among: whether states come with hazards, which only the last method handles.
     """
-    methods, given = (METHODS[-1:], {'among': True}) if among else (METHODS, {})
+    methods, options = (METHODS[-1:], {'among': True}) if among else (METHODS, {})
     for place, name in [PACED, *methods] if problem.max_acceleration else methods:
         method = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
         if among or method.solves(problem):
-            made: Method = method(problem, tolerance, coasting=coasting, **given)
+            made: Method = method(problem, tolerance, coasting=coasting, **options)
             return made
     raise AssertionError('the last method solves every problem')

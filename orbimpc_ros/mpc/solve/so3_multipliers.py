@@ -79,11 +79,11 @@ class SO3Multipliers:
         reach = problem.maps.controls.reshape(-1, steps)
         shares = np.vstack([np.eye(steps), reach if beside else reach[:0]])
         inverse = np.zeros((2, len(shares), len(shares)))
-        whole = shares @ self._thrust.inverse @ shares.T
-        inverse[0] = 0.5 * (whole + whole.T)
+        gram = shares @ self._thrust.inverse @ shares.T
+        inverse[0] = 0.5 * (gram + gram.T)
         inverse[1, :steps, :steps] = self._others.inverse
         self._slide = np.zeros((len(shares), 9))
-        self._known = inverse, self._slide, lengths, self._decided, shares
+        self._fixed = inverse, self._slide, lengths, self._decided, shares
         self._own: tuple[Row, ...] = ()  # of a coasted R_1
         self._work, self._held = scratch(steps, 2), multipliers(steps, 2)
         self._request: Request | None = None
@@ -135,41 +135,41 @@ class SO3Multipliers:
         """Compute the data that depend only on state and goals."""
         problem, state, thrust, others = self.problem, request.state, self._thrust, self._others
         self._request, self._least, self._fraction = request, first_length(problem, state), 1.0
-        known = np.pad(knowns(state, request.goals), ((0, 1), (0, 0)))
+        data = np.pad(knowns(state, request.goals), ((0, 1), (0, 0)))
         if self._coasting:
             assert state.coasted is not None
             self._first = coordinates(state.coasted)
-            self._choose_fraction(known)
+            self._choose_fraction(data)
         elif self._decided:
             self._first = coordinates(state.rotation + problem.step * state.rotation_rate)
         if self._decided:
-            known[-1] = self._fraction * self._first
+            data[-1] = self._fraction * self._first
             fast = self._fraction * math.sqrt(self._first[:3] @ self._first[:3])
             self._least += float(self._speeds[0]) * fast
-        self._start = beside(known, thrust.minimiser, others.minimiser)
-        self._least += float(np.vdot(known, beside(known, thrust.least, others.least)))
-        axes, squared = known[:-1, :3], self._condensed.axes.squared
+        self._start = beside(data, thrust.minimiser, others.minimiser)
+        self._least += float(np.vdot(data, beside(data, thrust.least, others.least)))
+        axes, squared = data[:-1, :3], self._condensed.axes.squared
         self._rounding = ROUNDING * float(np.vdot(axes, squared @ axes))
         bent = self._condensed.hessian @ self._start[:, :3]
         self._scale = max(1.0, float(np.abs(bent).max()) / USUAL)
 
-    def _choose_fraction(self, known: Array) -> None:
+    def _choose_fraction(self, data: Array) -> None:
         """Choose R_1 = rho * coasted with the rho that is optimal without the orbitopes.
 
         The minimiser over all other variables is affine in rho, and its cost a parabola.
 
         Args:
-            known: the knowns and a zero, shape (N + 5, 9).
+            data: the knowns and a zero, shape (N + 5, 9).
         """
         thrust, others, first = self._thrust, self._others, self._first
-        steepest = beside(known, thrust.least[-1:], others.least[-1:])[0]
+        steepest = beside(data, thrust.least[-1:], others.least[-1:])[0]
         slope = 2.0 * float(first @ steepest) + float(self._speeds[0])
         # The coasted rotation has columns of length one.
         curvature = 2.0 * (thrust.least[-1, -1] + 2.0 * others.least[-1, -1])
         curvature = max(curvature, FLATTEST)
         self._fraction = -slope / curvature
-        ways = beside(first[None], thrust.minimiser[:, -1:], others.minimiser[:, -1:])
-        self._slide[:] = ways / np.sqrt(curvature)
+        moves = beside(first[None], thrust.minimiser[:, -1:], others.minimiser[:, -1:])
+        self._slide[:] = moves / np.sqrt(curvature)
         one = np.eye(self.problem.horizon)[0]
         self._own = Row(0, one, first[:3], 0.0), Row(0, one, -first[:3], -1.0)
 
@@ -192,23 +192,23 @@ class SO3Multipliers:
         """Solve from the multipliers of the last solve, then without, then by the general one."""
         if any(map(self._is_missed, rows)):
             return Relaxation(None, np.inf, empty=True)
-        terms, bound, told = Terms(*self._known, *stacked([*self._own, *rows], 3)), -np.inf, None
+        terms, bound, dual = Terms(*self._fixed, *stacked([*self._own, *rows], 3)), -np.inf, None
         for warm in (True, False):
             self._take_up(len(rows), warm=warm)
             progress, status = self._minimise(terms, request)
             if progress.numbers[BEST] > bound:
                 bound = float(progress.numbers[BEST])
-                told = self._told(request, rows, empty=status == REFUTED)
+                dual = self._multipliers(request, rows, empty=status == REFUTED)
             if status == REFUTED:
-                return Relaxation(None, np.inf, told, empty=True)
-            found = Relaxation(self._rotations(progress.x), self._least + bound, told)
+                return Relaxation(None, np.inf, dual, empty=True)
+            relaxation = Relaxation(self._rotations(progress.x), self._least + bound, dual)
             if status == SETTLED:
-                return found
+                return relaxation
             if request.late:
                 break
         hurried = request.hurried and (self._general is None or request.late)
         if hurried:  # building the general program would take longer than the deadline allows
-            return replace(found, x=_within(self._rotations(progress.x)))
+            return replace(relaxation, x=_within(self._rotations(progress.x)))
         return (self._general or self._build_general()).relax(request, rows)
 
     def _minimise(self, terms: Terms, request: Request) -> tuple[Iterate, int]:
@@ -231,7 +231,7 @@ class SO3Multipliers:
         if len(self._held.rows) > len(self._work.rows):
             self._work = scratch(steps, 2 * len(self._held.rows))
 
-    def _told(self, request: Request, rows: Sequence[Row], *, empty: bool) -> Multipliers:
+    def _multipliers(self, request: Request, rows: Sequence[Row], *, empty: bool) -> Multipliers:
         """Return the multipliers of the last solve, or if ``empty`` of its infeasibility."""
         steps, own = self.problem.horizon, len(self._own)
         sizes = self._work.rows[own : own + len(rows)].copy()

@@ -184,24 +184,24 @@ class Solver:
             Infeasible: no trajectory satisfies the constraints.
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
-        asked = self._asked(state, goals, guess, out_of_time)
+        request = self._request(state, goals, guess, out_of_time)
         try:
-            found = self._found(asked)
+            result = self._result(request)
         except Infeasible as error:
-            found = replace(NOTHING, reason=f'a plan exists, though the search found: {error}')
-            return self._instead(asked, found, error)
-        if found.x is None:
-            return self._instead(asked, found, SolverFailure(found.reason))
-        plan = self._assembled(asked, found.x, self._proof(asked, found))
-        flaws = violations(self.problem, state, asked.goals, plan)
+            result = replace(NOTHING, reason=f'a plan exists, though the search found: {error}')
+            return self._instead(request, result, error)
+        if result.x is None:
+            return self._instead(request, result, SolverFailure(result.reason))
+        plan = self._assembled(request, result.x, self._proof(request, result))
+        flaws = violations(self.problem, state, request.goals, plan)
         if flaws:
-            found = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
-            return self._instead(asked, found, SolverFailure(found.reason))
+            result = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
+            return self._instead(request, result, SolverFailure(result.reason))
         closed = plan.objective - plan.lower_bound <= self._tolerance * plan.objective
-        if closed or self._enough.met(found):
+        if closed or self._enough.met(result):
             return plan  # proved optimal relative to its own cost, however small, or enough
         instead = replace(plan.proof, reason=joined(plan.proof.reason, STANDS_IN))
-        return self._cheapest(asked, self._unsought(asked), instead, plan.objective) or plan
+        return self._cheapest(request, self._unsought(request), instead, plan.objective) or plan
 
     def propose(
         self,
@@ -217,13 +217,13 @@ class Solver:
             Infeasible: the method proved that no trajectory satisfies the constraints.
             SolverFailure: the method found no trajectory.
         """
-        asked = self._asked(state, goals, guess, out_of_time)
-        found = self._found(asked)
-        if found.x is None:
-            raise SolverFailure(found.reason)
-        return self._assembled(asked, found.x, self._proof(asked, found))
+        request = self._request(state, goals, guess, out_of_time)
+        result = self._result(request)
+        if result.x is None:
+            raise SolverFailure(result.reason)
+        return self._assembled(request, result.x, self._proof(request, result))
 
-    def _asked(
+    def _request(
         self, state: State, goals: Array, guess: Plan | Array | None, out_of_time: Late | None
     ) -> Request:
         """Return the request, in the units of the caller."""
@@ -245,38 +245,38 @@ class Solver:
         """Return the state, without hazards if all are out of reach: faster methods then apply."""
         if not state.hazards:
             return state
-        asked = 'searched', self.problem
-        return state.once(asked, lambda: clear_of_hazards(self.problem, state))
+        key = 'searched', self.problem
+        return state.once(key, lambda: clear_of_hazards(self.problem, state))
 
-    def _found(self, asked: Request) -> Found:
-        """Return the result of the method, with a reason if it is not what was asked for.
+    def _result(self, request: Request) -> Found:
+        """Return the result of the method, with a reason if it found no trajectory but the guess.
 
         Raises:
             Infeasible: no trajectory satisfies the constraints.
         """
-        state, goals, units = self._searched(asked.state), asked.goals, self._units
+        state, goals, units = self._searched(request.state), request.goals, self._units
         if self.problem.terminal == 'constraint' or self.problem.approach.exists:
             beyond = beyond_reach(self.problem, state, goals) / self.problem.maps.unit
             if max(beyond, beyond_turning(self.problem, state)) > SURELY:
                 raise Infeasible(reason(self.problem, state, goals))
         method = self._among if state.hazards else self._method
-        guess = asked.guess if method.takes_guess else None
-        posed = asked._replace(state=units.state(state), goals=goals / units.length, guess=guess)
+        guess = request.guess if method.takes_guess else None
+        posed = request._replace(state=units.state(state), goals=goals / units.length, guess=guess)
         try:
-            found = method.solve(posed)
+            result = method.solve(posed)
         except Infeasible as error:
-            if error.proof is not None and self._verified(asked, error.proof)[0] < np.inf:
+            if error.proof is not None and self._verified(request, error.proof)[0] < np.inf:
                 return replace(NOTHING, reason=DOUBTFUL)
             raise Infeasible(reason(self.problem, state, goals)) from None
         except (SolverFailure, ArithmeticError, np.linalg.LinAlgError) as error:  # or an overflow
             return replace(NOTHING, reason=str(error))
-        if found.x is None:
-            return replace(found, reason=f'no trajectory found in {found.nodes} relaxations')
-        if not np.isfinite(found.x).all():  # its rollout and projection would raise errors
+        if result.x is None:
+            return replace(result, reason=f'no trajectory found in {result.nodes} relaxations')
+        if not np.isfinite(result.x).all():  # its rollout and projection would raise errors
             return replace(NOTHING, reason='the trajectory found is not finite')
-        if found.x is guess and found.gap > self._tolerance:
-            return replace(found, reason=GOES_ON)
-        return found
+        if result.x is guess and result.gap > self._tolerance:
+            return replace(result, reason=GOES_ON)
+        return result
 
     def expect_hazards(self) -> None:
         """Build the method for hazards in advance, which takes a second or so."""
@@ -288,72 +288,72 @@ class Solver:
         return self._made(among=True)
 
     def _made(self, *, among: bool) -> Method:
-        known = self._units.problem, SEARCH_SHARE * self._tolerance
-        return method_for(*known, coasting=self._coasting, among=among)
+        tolerance = SEARCH_SHARE * self._tolerance
+        return method_for(self._units.problem, tolerance, coasting=self._coasting, among=among)
 
-    def _assembled(self, asked: Request, x: Array, proof: Proof) -> Plan:
-        known = self.problem, asked.state, asked.goals
-        plan = assemble(*known, x, projection=self._projection, proof=proof)
+    def _assembled(self, request: Request, x: Array, proof: Proof) -> Plan:
+        posed = self.problem, request.state, request.goals
+        plan = assemble(*posed, x, projection=self._projection, proof=proof)
         if plan.objective < proof.lower_bound:  # constraints may be violated by rounding
             plan = replace(plan, proof=replace(proof, lower_bound=plan.objective))
         return plan
 
-    def _proof(self, asked: Request, found: Found) -> Proof:
+    def _proof(self, request: Request, result: Found) -> Proof:
         """Return the proof of a result in natural units; no cost is negative, so no bound is.
 
         The bound is the verifier's for the method's tree; without a tree, or if the verifier runs
         out of time, the method's own.
         """
-        cost, claimed, tree = self._units.cost, self._units.cost * found.lower_bound, found.proof
-        bound, tree = (-np.inf, None) if tree is None else self._verified(asked, tree)
+        cost, claimed, tree = self._units.cost, self._units.cost * result.lower_bound, result.proof
+        bound, tree = (-np.inf, None) if tree is None else self._verified(request, tree)
         checked = -np.inf < bound < np.inf
         if not checked:
             bound, tree = claimed, None
-        known = max(0.0, float(bound) * (1.0 - OUTWARD) - ROUNDED * cost) if bound < np.inf else 0.0
-        checked = checked or known == 0.0
-        return Proof(known, found.nodes, self._tolerance, cost, found.reason, checked, tree)
+        lower = max(0.0, float(bound) * (1.0 - OUTWARD) - ROUNDED * cost) if bound < np.inf else 0.0
+        checked = checked or lower == 0.0
+        return Proof(lower, result.nodes, self._tolerance, cost, result.reason, checked, tree)
 
-    def _verified(self, asked: Request, tree: ProofTree) -> tuple[float, ProofTree]:
+    def _verified(self, request: Request, tree: ProofTree) -> tuple[float, ProofTree]:
         """Return the verified bound of a tree in natural units, and the tree in users' units."""
         made = self._units.posed(tree)
         if self._verifier is None:
             return -np.inf, made
-        posed = self._searched(asked.state), asked.goals
-        return self._verifier.bound(*posed, made, asked.out_of_time), made
+        posed = self._searched(request.state), request.goals
+        return self._verifier.bound(*posed, made, request.out_of_time), made
 
-    def _instead(self, asked: Request, found: Found, failure: OrbimpcError) -> Plan:
+    def _instead(self, request: Request, result: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest fallback plan that passes the check, or raise ``failure``."""
-        proof = self._proof(asked, replace(found, reason=joined(found.reason, STANDS_IN)))
-        plan = self._cheapest(asked, self._unsought(asked), proof)
+        proof = self._proof(request, replace(result, reason=joined(result.reason, STANDS_IN)))
+        plan = self._cheapest(request, self._unsought(request), proof)
         if plan is None and isinstance(failure, SolverFailure):
-            every = turning(self.problem, asked.state, asked.goals)
-            plan = self._cheapest(asked, in_time(every, asked.out_of_time), proof)
+            every = turning(self.problem, request.state, request.goals)
+            plan = self._cheapest(request, in_time(every, request.out_of_time), proof)
         if plan is None:
             raise failure
         return plan
 
-    def _unsought(self, asked: Request) -> Iterator[Array]:
+    def _unsought(self, request: Request) -> Iterator[Array]:
         """Yield the coordinates of fallback plans, shape (N, d): the guess and straight ones."""
-        if asked.guess is not None:
-            yield asked.guess  # rolled out from this state
-        yield from straight(self.problem, asked.state, asked.goals)
+        if request.guess is not None:
+            yield request.guess  # rolled out from this state
+        yield from straight(self.problem, request.state, request.goals)
 
     def _cheapest(
-        self, asked: Request, ways: Iterable[Array], proof: Proof, below: float = np.inf
+        self, request: Request, candidates: Iterable[Array], proof: Proof, below: float = np.inf
     ) -> Plan | None:
         """Return the cheapest plan that passes the check and costs less than ``below``.
 
         Args:
-            asked: the request.
-            ways: rotation coordinates of plans, shape (N, d) each.
+            request: the request.
+            candidates: rotation coordinates of plans, shape (N, d) each.
             proof: of a bound.
             below: the limit of costs.
         """
-        known, best = (self.problem, asked.state, asked.goals), None
-        for x in ways:
-            if trajectory_of(*known, x).objective < below:
-                plan = self._assembled(asked, x, proof)
-                if holds(*known, plan):
+        posed, best = (self.problem, request.state, request.goals), None
+        for x in candidates:
+            if trajectory_of(*posed, x).objective < below:
+                plan = self._assembled(request, x, proof)
+                if holds(*posed, plan):
                     best, below = plan, plan.objective
         return best
 

@@ -89,32 +89,32 @@ def turning(problem: Problem, state: State, goals: Array) -> Iterator[Array | No
 
 
 def sound(
-    problem: Problem, request: Request, ways: Iterable[Array | None]
+    problem: Problem, request: Request, candidates: Iterable[Array | None]
 ) -> Iterator[tuple[float, Array]]:
-    """Yield the costs and the coordinates of those of the ways that pass the check of plans."""
-    known = problem, request.state, request.goals
-    for x in ways:
+    """Yield the costs and the coordinates of the candidates that pass the check of plans."""
+    posed = problem, request.state, request.goals
+    for x in candidates:
         if x is not None:
-            plan = assemble(*known, x, projection='thrust_aligned', proof=UNPROVED)
-            if holds(*known, plan):
+            plan = assemble(*posed, x, projection='thrust_aligned', proof=UNPROVED)
+            if holds(*posed, plan):
                 yield plan.objective, x
 
 
 def in_time(
-    ways: Iterable[Array | None], out_of_time: Callable[[], bool] | None
+    candidates: Iterable[Array | None], out_of_time: Callable[[], bool] | None
 ) -> Iterator[Array]:
     """Yield trajectories that are not None until the deadline, then for a few milliseconds.
 
     Args:
-        ways: coordinates or None, as from :func:`turning`.
+        candidates: coordinates or None, as from :func:`turning`.
         out_of_time: polled after each of them; None for no deadline.
     """
     late = 0
-    for way in ways:
-        if way is not None:
-            yield way
+    for candidate in candidates:
+        if candidate is not None:
+            yield candidate
         if out_of_time is not None and out_of_time():
-            late += 1 if way is None else EACH
+            late += 1 if candidate is None else EACH
         if late >= LATE:
             return
 

@@ -55,12 +55,12 @@ class Turns:
             state: initial state of plans.
             narrow: whether the half-space of the first turn has to imply its angle limit.
         """
-        axis, found = state.attitude[:, 0], list[Row]()
+        axis, rows = state.attitude[:, 0], list[Row]()
         for k in self._steps:
             share = math.cos(k * self._problem.widest_turn)
             bound = max if narrow and k == 1 else min
-            found.append(Row(k - 1, self._shares[k - 1], axis, bound(share, self._least * share)))
-        return tuple(found)
+            rows.append(Row(k - 1, self._shares[k - 1], axis, bound(share, self._least * share)))
+        return tuple(rows)
 
     def followed(self, state: State, headings: Array) -> Array:
         """Return headings of the same lengths that follow others as turns allow, shape (N + 1, n).
@@ -69,14 +69,14 @@ class Turns:
             state: initial state of the plan.
             headings: R_0 e1..R_N e1, shape (N + 1, n).
         """
-        unit, found = state.attitude[:, 0], headings.copy()
+        unit, turned = state.attitude[:, 0], headings.copy()
         for k, heading in enumerate(headings[1:], 1):
             size = float(np.linalg.norm(heading))
             wanted = heading / size if size > HEADING_UNDEFINED else unit
-            given = k == 1 and self._problem.rotation_order == 2
-            unit = wanted if given else turned_within(unit, wanted, self._turn)
-            found[k] = max(size, self._least) * unit
-        return found
+            decided = k == 1 and self._problem.rotation_order == 2
+            unit = wanted if decided else turned_within(unit, wanted, self._turn)
+            turned[k] = max(size, self._least) * unit
+        return turned
 
     def cells(self, headings: Array, share: float) -> tuple[Row, ...]:
         """Return the cells of headings R_1 e1..R_N e1, raised to a share of their speeds.
@@ -85,12 +85,12 @@ class Turns:
             headings: R_0 e1..R_N e1, shape (N + 1, n).
             share: the share; 0 for the least speeds.
         """
-        found = []
+        cells = []
         for k, heading in enumerate(headings[1:]):
             normal = self._problem.floor.tangent(heading)  # of a round floor, or the nearest face
             fast = max(self._least, share * float(normal @ heading))
-            found.append(Row(k, self._shares[k], normal, fast))
-        return tuple(found)
+            cells.append(Row(k, self._shares[k], normal, fast))
+        return tuple(cells)
 
     def cones(self, state: State, headings: Array) -> tuple[Row, ...]:
         """Return half-spaces about headings R_0 e1..R_N e1 in which any speeds turn in time."""
