@@ -65,11 +65,11 @@ def floats(function: Callable) -> Callable:
 @cache
 def _bound_to_floats(function: Callable) -> Callable:
     """Return a generic function that calls the implementations for floats of generic functions."""
-    source, known = IN_FLOATS[function], dict(function.__globals__)
+    source, scope = IN_FLOATS[function], dict(function.__globals__)
     for name in source.__code__.co_names:
-        if known.get(name) in IN_FLOATS:
-            known[name] = _part(known[name])
-    made = FunctionType(source.__code__, known, source.__name__)
+        if scope.get(name) in IN_FLOATS:
+            scope[name] = _part(scope[name])
+    made = FunctionType(source.__code__, scope, source.__name__)
     made.__module__, made.__qualname__ = source.__module__, source.__qualname__
     return made
 

@@ -116,16 +116,16 @@ def _flown(stated, goals, point, flown):
 @generic
 def _of_decided(stated, span, g, length, shor, total):
     """Add the least cost of the first step if R_1 is decided up to a factor."""
-    known = stated.start[DECIDED]
-    size, speed, along = abs(length) + abs(shor), size_of(known, stated.n), 0 * length
+    decided = stated.start[DECIDED]
+    size, speed, along = abs(length) + abs(shor), size_of(decided, stated.n), 0 * length
     for c in range(len(g)):
-        along, size = along + g[c] * known[c], size + abs(g[c] * known[c])
+        along, size = along + g[c] * decided[c], size + abs(g[c] * decided[c])
     slope, curve = along + length * speed, shor * speed * speed
     counted(total, over_speeds(slope, curve, span[0], span[1]), size * (1 + speed * speed))
 
 
 @generic
-def _of_step(stated, known, k, tree, leaf, length, shor, work):
+def _of_step(stated, region, k, tree, leaf, length, shor, work):
     """Add the least contribution of a step to a bound.
 
     If a share of the slope is bounded by the limits on R e1 alone, the share and the remainder are
@@ -133,7 +133,7 @@ def _of_step(stated, known, k, tree, leaf, length, shor, work):
 
     Args:
         stated: the problem.
-        known: restrictions of all choices.
+        region: of the leaf, as in :func:`over_stage`.
         k: the step, from 0 on.
         tree: whose shares are used.
         leaf: its row.
@@ -141,8 +141,8 @@ def _of_step(stated, known, k, tree, leaf, length, shor, work):
         shor: its own curvature.
         work: work arrays, with the slopes.
     """
-    n, g, zero, whole = stated.n, work.slopes[k], 0 * length, len(work.slopes[k]) == 9
-    own, rest, split, shared = work.vectors[0], work.vectors[1], whole, tree.share.size > 0
+    n, g, zero, orbitope = stated.n, work.slopes[k], 0 * length, len(work.slopes[k]) == 9
+    own, rest, split, shared = work.vectors[0], work.vectors[1], orbitope, tree.share.size > 0
     for c in range(n if shared else 0):
         split = split or tree.share[leaf, k, c] != 0
     size = abs(length) + abs(shor)
@@ -151,10 +151,10 @@ def _of_step(stated, known, k, tree, leaf, length, shor, work):
         own[c] = part if split else g[c]
         rest[c] = g[c] - own[c]
         size = size + abs(own[c]) + 2 * abs(rest[c])
-    counted(work.total, over_orbitope(rest, work.matrix) if whole else zero, size)
-    for i in range(2 if split and not whole else 1):
+    counted(work.total, over_orbitope(rest, work.matrix) if orbitope else zero, size)
+    for i in range(2 if split and not orbitope else 1):
         size_weight, curve = (length, shor) if i == 0 else (zero, zero)
-        least = over_stage(stated, known, k, work.vectors[i], size_weight, curve)
+        least = over_stage(stated, region, k, work.vectors[i], size_weight, curve)
         counted(work.total, least, zero)
 
 
@@ -214,7 +214,7 @@ def leaf_bound(stated, region, depth, tree, node, work):
     if not 0 <= leaf < len(tree.point):
         return zero, False
     point, shor, slopes, count = tree.point[leaf], tree.shor[leaf], work.slopes, len(work.slopes)
-    known = region.part[depth], region.span[depth], region.corners[depth], work.ends
+    at_leaf = region.part[depth], region.span[depth], region.corners[depth], work.ends
     total[:] = zero
     if empty:
         rolled(stated.motion, stated.start, point, work.flown)
@@ -232,15 +232,15 @@ def leaf_bound(stated, region, depth, tree, node, work):
     for k in range(count):
         length, kept = (zero, zero) if empty else (stated.weights[1, k + 1], shor[k])
         if k < stated.order - 1:
-            _of_decided(stated, known[1][count], slopes[0], length, kept, total)
+            _of_decided(stated, at_leaf[1][count], slopes[0], length, kept, total)
         else:
-            _of_step(stated, known, k, tree, leaf, length, kept, work)
+            _of_step(stated, at_leaf, k, tree, leaf, length, kept, work)
     value = total[0] - slack(total[1]) * (count + 4)
     return value, abs(value) >= 0 and (value > 0 or not empty)
 
 
 @generic
-def tree_bound(stated, tree, walk, region, work, least, found, t, most):
+def tree_bound(stated, tree, walk, region, work, least, leaves, t, most):
     """Return the least bound of a tree's leaves, the number of these, and the outcome.
 
     The tree is walked in depth-first order. The walk may pause: another call with the returned
@@ -253,7 +253,7 @@ def tree_bound(stated, tree, walk, region, work, least, found, t, most):
         region: to be written, a row for each depth.
         work: to be written.
         least: of the bounds so far.
-        found: number of leaves with a bound so far.
+        leaves: number of leaves with a bound so far.
         t: next node; 0 before the walk begins.
         most: leaves after which it pauses.
 
@@ -262,31 +262,31 @@ def tree_bound(stated, tree, walk, region, work, least, found, t, most):
         ``PAUSED``, or ``DEEP`` if the region has too few rows. A tree that ends without any bound
         refutes.
     """
-    nodes, seen, known = tree.nodes, 0, HELD
+    nodes, seen, status = tree.nodes, 0, HELD
     if t == 0:
         walk[DEPTH], walk[DEPTH, 0] = -1, 0
-        known = begin(stated, tree.origins, region.part[0], region.span[0])
+        status = begin(stated, tree.origins, region.part[0], region.span[0])
     while True:
         if t > 0:
             depth, above = walk[DEPTH, t], walk[PARENT, t]
             if seen == most or depth == len(region.part):
-                return least, found, t, PAUSED if seen == most else DEEP
-            whole = nodes[above]
-            known = part_of(stated, whole, tree.at[above], t - whole[CHILD], depth, region)
+                return least, leaves, t, PAUSED if seen == most else DEEP
+            parent = nodes[above]
+            status = part_of(stated, parent, tree.at[above], t - parent[CHILD], depth, region)
         node = nodes[t]
-        splits = known == HELD and node[KIND] != LEAF and node[KIND] != EMPTY
-        sound = known != WRONG and not (splits and not _entered(nodes, walk, t))
-        if sound and known == HELD and not splits:
+        splits = status == HELD and node[KIND] != LEAF and node[KIND] != EMPTY
+        sound = status != WRONG and not (splits and not _entered(nodes, walk, t))
+        if sound and status == HELD and not splits:
             seen += 1
             value, sound = leaf_bound(stated, region, walk[DEPTH, t], tree, node, work)
             if node[KIND] == LEAF:
-                least = value if found == 0 else min(least, value)
-                found += 1
+                least = value if leaves == 0 else min(least, value)
+                leaves += 1
         if not sound:
             return least, 0, 0, UNSOUND
         t = node[CHILD] if splits else _next(nodes, walk, t)
         if t == 0:
-            return least, found, 0, ENDED
+            return least, leaves, 0, ENDED
 
 
 @generic

@@ -131,12 +131,12 @@ def _refuting(document: Any) -> Verdict:
     problems = refuted_by(document, len(trees))
     proved = zip(problems, _proved(problems, trees, claim['trees']), strict=True)
     failed = (k for k, (posed, bound) in enumerate(proved) if not posed.is_exceeded(bound))
-    whole = next(failed, len(trees))
-    leaves, holds = _leaves(trees, LEAF, EMPTY), whole == len(trees)
+    upheld = next(failed, len(trees))
+    leaves, holds = _leaves(trees, LEAF, EMPTY), upheld == len(trees)
     if 'radius' not in claim:
         return Verdict(math.inf, math.inf if holds else 0.0, leaves, holds)
     step = Fraction(problems[0].problem.step)
-    ends = [rounded_down((k + 1) * step) for k in (len(trees), whole)]
+    ends = [rounded_down((k + 1) * step) for k in (len(trees), upheld)]
     return Verdict(ends[0], ends[1], leaves, holds)
 
 
@@ -270,24 +270,24 @@ def statement(problem: Problem, state: State, goals: Array) -> Document:
     made: dict[str, Any] = {name: getattr(problem, name) for name in MODEL}
     made['weights'] = {name: float(getattr(weights, name)) for name in WEIGHTS}
     made['weights']['arrival'] = float(problem.arrival_weight)
-    told = {name: getattr(floor, name) for name in floor.parameters}
-    made['floor'] = {'shape': floor.shape, **told}
+    parameters = {name: getattr(floor, name) for name in floor.parameters}
+    made['floor'] = {'shape': floor.shape, **parameters}
     values = {name: getattr(state, name) for name in STATE + MAYBE}
-    known = {name: None if value is None else value.tolist() for name, value in values.items()}
+    plain = {name: None if value is None else value.tolist() for name, value in values.items()}
     limits = _plain_limits(Statement(problem).limits(state, goals))
-    found = {'problem': made, 'state': known, 'goals': goals.tolist()}
-    return {**found, 'limits': limits} if limits else found
+    document = {'problem': made, 'state': plain, 'goals': goals.tolist()}
+    return {**document, 'limits': limits} if limits else document
 
 
 def _plain_limits(limits: Limits) -> dict[str, Any]:
-    found = {
+    fields = {
         'cones': [each._asdict() for each in limits.cones],
         'glide_slope': {'angle': limits.glide_slope, 'eased': limits.eased.tolist()},
         'speeds': {'entry': limits.entry, 'change': limits.change},
         'bodies': [_plain_body(each) for each in limits.bodies],
     }
     there = limits.cones, limits.glide_slope, limits.change < math.inf, limits.bodies
-    return dict(compress(found.items(), there))
+    return dict(compress(fields.items(), there))
 
 
 def _plain_body(body: Body) -> dict[str, Any]:
@@ -311,14 +311,14 @@ def _posed(document: Any) -> Posed:
     weights = dict(fields_of(stated['weights'], 'weights', (*WEIGHTS, 'arrival')))
     floor = fields_of(stated['floor'], 'floor', ('shape',), ('faces', 'fraction'))
     more = {'arrival_weight': weights.pop('arrival')}
-    known = {name: stated[name] for name in MODEL}
-    problem = Problem(**known, weights=Weights(**weights), floor=Floor(**floor), **more)
+    model = {name: stated[name] for name in MODEL}
+    problem = Problem(**model, weights=Weights(**weights), floor=Floor(**floor), **more)
     n, count = problem.dimension, problem.horizon
-    given = dict(fields_of(document['state'], 'state', STATE + MAYBE))
+    values = dict(fields_of(document['state'], 'state', STATE + MAYBE))
     for name in STATE:
-        numbers_of(given[name], f'state.{name}')
-    given['position'] = frozen(given['position'], (n,), 'state.position')
-    state, goals = State.at(**given), frozen(document['goals'], (count, n), 'goals')
+        numbers_of(values[name], f'state.{name}')
+    values['position'] = frozen(values['position'], (n,), 'state.position')
+    state, goals = State.at(**values), frozen(document['goals'], (count, n), 'goals')
     if state.wanted is None and problem.weights.attitude:
         raise BadInput('state.wanted', None, 'a rotation')
     limits = _limits(document.get('limits', {}), n, count)
@@ -382,8 +382,8 @@ def _items(value: Any, name: str) -> list[Any]:
 
 def _plain_tree(tree: ProofTree) -> dict[str, Any]:
     """Return a tree as plain values, without unused arrays."""
-    known = tree._asdict()
-    made = {n: value.tolist() for n, value in known.items() if n in ARRAYS or value.size}
+    arrays = tree._asdict()
+    made = {n: value.tolist() for n, value in arrays.items() if n in ARRAYS or value.size}
     return {**made, 'ordered': True} if tree.origins.size else made
 
 
@@ -393,18 +393,18 @@ def _tree(stated: Any) -> ProofTree:
     Raises:
         BadInput: it is malformed.
     """
-    known, found = dict(fields_of(stated, 'tree', ARRAYS, (*OPTIONAL, 'ordered'))), dict[str, Any]()
-    if known.pop('ordered', True) is not True:
+    raw, arrays = dict(fields_of(stated, 'tree', ARRAYS, (*OPTIONAL, 'ordered'))), dict[str, Any]()
+    if raw.pop('ordered', True) is not True:
         raise BadInput('tree.ordered', stated['ordered'], 'true')
-    for name, value in known.items():
+    for name, value in raw.items():
         made = np.array(numbers_of(value, f'tree.{name}'))
         if name in INTEGERS and made.size and made.dtype != np.int64:
             raise BadInput(f'tree.{name}', value, 'integers')
         if made.size or name in ARRAYS:
-            found[name] = made.astype(np.int64 if name in INTEGERS else np.float64)
-    if found['nodes'].shape[1:] != (5,):
+            arrays[name] = made.astype(np.int64 if name in INTEGERS else np.float64)
+    if arrays['nodes'].shape[1:] != (5,):
         raise BadInput('tree.nodes', stated['nodes'], 'rows of 5')
-    return ProofTree(**found)
+    return ProofTree(**arrays)
 
 
 # --- JSON: unique names, finite numbers

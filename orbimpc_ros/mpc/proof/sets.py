@@ -220,7 +220,7 @@ def in_both(g, size, cone, axis, cosine, sine):
 
 
 @generic
-def over_stage(stated, known, k, g, length, curve):
+def over_stage(stated, region, k, g, length, curve):
     """Return a lower bound on g . z + length |z| + curve |z|^2 / 2 over z_{k+1}'s stage set.
 
     It is the best of several bounds. They are not combined, because a cone with its own least
@@ -228,28 +228,28 @@ def over_stage(stated, known, k, g, length, curve):
 
     Args:
         stated: the problem.
-        known: restrictions of all choices: parts, spans and corners; and the ends of the sector of
-            each step, as :func:`rim` sets them.
+        region: parts, spans and corners of all choices; and the ends of the sector of each step, as
+            :func:`rim` sets them.
         k: the step, from 0 on.
         g: shape (n,) at least.
         length: a weight.
         curve: a weight.
     """
-    n, part, ends, axis = stated.n, known[0][k], known[3][k], (0 * length, 0 * length, 0 * length)
+    n, part, ends, axis = stated.n, region[0][k], region[3][k], (0 * length, 0 * length, 0 * length)
     flat, solid = n == 2 and part >= 0, n == 3 and len(stated.faces) > 0
-    slowest, fastest = known[1][len(known[3]) + k]
+    slowest, fastest = region[1][len(region[3]) + k]
     size, linear = size_of(g, n), length == 0 and curve == 0
     along, cosine, sine = -size, axis[0], axis[0]
     best = -(size + abs(length) + abs(curve)) * (1 + fastest * fastest)
     if flat:
         for i in range(2):
-            rim(stated.share, stated.faces, stated.least, known[1][k, i], ends[i])
+            rim(stated.share, stated.faces, stated.least, region[1][k, i], ends[i])
         along = in_sector(g, size, ends, stated.full, stated.narrow)
         if stated.share > 0:
             slowest = max(slowest, min(fastest, nearest_floor(ends, stated.least, stated.share)))
     patched = n == 3 and part >= 0 and not solid
     if patched:
-        axis, cosine, sine = about(known[2][k])
+        axis, cosine, sine = about(region[2][k])
         along = in_cone(g, axis, cosine, sine, 3)
     for q in range(len(stated.cone_step)):
         if stated.cone_step[q] == k:

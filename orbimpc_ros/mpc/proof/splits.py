@@ -145,19 +145,19 @@ def _is_split_right(stated, node, at, part, low, high):
     """Return whether a node's split is valid, given the restrictions of the choice there."""
     kind, c, parts, n = node[KIND], node[CHOICE], node[CHILDREN], stated.n
     extents, count = stated.bodies.extents, len(stated.goals)
-    body, within, whole = c // count - 2, parts == 2 and low <= at <= high, part == WHOLE
+    body, within, unsplit = c // count - 2, parts == 2 and low <= at <= high, part == WHOLE
     if not stated.order - 1 <= c < (2 + len(extents)) * count:
         return False
     if body == -1:
         return kind == SPEED and within
     if body >= 0 and extents[body, 2 * n] == 0:  # a box
-        return kind == SIDES and whole and parts == 2 * n
+        return kind == SIDES and unsplit and parts == 2 * n
     if body == -2 and n == 3 and len(stated.faces) > 0:
-        return kind == FACES and whole and parts == len(stated.faces)
+        return kind == FACES and unsplit and parts == len(stated.faces)
     if n == 2:
         arcs = kind == ARCS and parts >= 2 and abs(at) <= FARTHEST
-        return arcs if whole else kind == CUT and within
-    if not whole:
+        return arcs if unsplit else kind == CUT and within
+    if not unsplit:
         return kind == QUARTERS and parts == 4
     capped = body == -2 and parts == len(stated.patches) - ICOSAHEDRON and _is_capped(stated, c)
     return kind == PATCHES and (parts == ICOSAHEDRON or capped)
@@ -190,9 +190,9 @@ def part_of(stated, node, at, i, depth, region):
     c, part, span = node[CHOICE], region.part[depth], region.span[depth]
     if not 0 <= c < len(part):
         return WRONG
-    known, before = region.part[depth - 1, c], region.span[depth - 1]
+    former, before = region.part[depth - 1, c], region.span[depth - 1]
     low, high = before[c, 0], before[c, 1]
-    if not _is_split_right(stated, node, at, known, low, high):
+    if not _is_split_right(stated, node, at, former, low, high):
         return WRONG
     made = region.corners[depth]
     for e in range(len(part)):

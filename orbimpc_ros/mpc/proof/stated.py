@@ -217,7 +217,7 @@ class Statement:
         BadInput: fractions of a model whose numbers are floats only.
 
     Attributes:
-        known: the problem at the origin, without limits on turns and speeds, and without cones.
+        base: the problem at the origin, without limits on turns and speeds, and without cones.
     """
 
     def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
@@ -228,7 +228,7 @@ class Statement:
         self._caps = [cap(problem.tilt)] if 0.0 < problem.tilt <= STEEPEST_CAP else []
         free = not (late or problem.max_rate or problem.inertial or w.position or w.input)
         self._alike = plane and free  # the first steps are, unless limits from a state differ
-        self.known = self._stated()
+        self.base = self._stated()
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
@@ -246,8 +246,8 @@ class Statement:
         once = step_of(model, h, z)
         drift, keep = once.transition[:, 1] if model.inertial else (0, 0)
         on_s, *on_p = zip(once.push, once.follow, once.blow, strict=True)
-        known = drift, keep, *on_s, *(on_p[0] if on_p else (0, z, 1))
-        return StepMap._make([*map(number, known), h / model.degree, model.degree])
+        coefficients = drift, keep, *on_s, *(on_p[0] if on_p else (0, z, 1))
+        return StepMap._make([*map(number, coefficients), h / model.degree, model.degree])
 
     def _stated(self) -> Stated:
         problem, number, n = self.problem, self._number, self.problem.dimension
@@ -334,10 +334,10 @@ class Statement:
             aims: g_1..g_N, shape (N, n) [m].
             limits: in addition to the problem's own.
         """
-        known, start, origin = self.known, self._begun(state), self._numbers(state.position)
+        base, start, origin = self.base, self._begun(state), self._numbers(state.position)
         cones = self._cones(state, limits)
         made = {**self._turned(state), **self._paced(state, limits), **self._coned(cones)}
-        made['goals'] = goals = known.goals.copy()
+        made['goals'] = goals = base.goals.copy()
         goals[:, :-1] = self._numbers(aims) - origin
         if limits.glide_slope:
             goals[:, -1] = self._rows(limits.eased)
@@ -345,27 +345,27 @@ class Statement:
         if limits.bodies is not self.boxes:
             made['bodies'] = self._beside(origin, limits.bodies, start)
         elif self.boxes:
-            made['bodies'] = known.bodies._replace(places=known.bodies.places - origin)
+            made['bodies'] = base.bodies._replace(places=base.bodies.places - origin)
         alone = not (limits.cones or limits.bodies or limits.glide_slope or limits.change < 2.0)
         if alone and self._alike:
             made['exchanged'] = self.problem.horizon - 1
-        return known._replace(start=start, **made)
+        return base._replace(start=start, **made)
 
     # --- the start of trajectories
 
     def _begun(self, state: State) -> Rows:
         """Return the rows of a start; rotations column by column."""
         problem, n, d = self.problem, self.problem.dimension, self._width
-        known, begun = np.zeros((6, d)), state.coasted
-        known[VELOCITY, :n], known[WIND, :n] = state.velocity, state.disturbance
-        known[FIRST] = known[TIED] = state.rotation.T.ravel()[:d]
+        rows, begun = np.zeros((6, d)), state.coasted
+        rows[VELOCITY, :n], rows[WIND, :n] = state.velocity, state.disturbance
+        rows[FIRST] = rows[TIED] = state.rotation.T.ravel()[:d]
         if state.wanted is not None:
-            known[WANTED] = state.wanted.T.ravel()[:d]
+            rows[WANTED] = state.wanted.T.ravel()[:d]
         if problem.rotation_order == 2:
-            known[DECIDED] = (state.rotation_rate if begun is None else begun).T.ravel()[:d]
+            rows[DECIDED] = (state.rotation_rate if begun is None else begun).T.ravel()[:d]
         elif problem.turns_are_angles:
-            known[TIED, :n] = state.attitude[:, 0]
-        start = self._numbers(known)
+            rows[TIED, :n] = state.attitude[:, 0]
+        start = self._numbers(rows)
         if problem.rotation_order == 2 and begun is None:
             start[DECIDED] = start[FIRST] + self._number(problem.step) * start[DECIDED]
         if not problem.inertial:
@@ -376,14 +376,14 @@ class Statement:
 
     def _paced(self, state: State, limits: Limits) -> dict[str, Any]:
         """Return the limits on speeds."""
-        problem, number, known = self.problem, self._number, state.coasted
-        least, full, late = self.known.least, self.known.fast, problem.rotation_order == 2
-        if late and known is None:  # R_1 is given: its factor is 1, and no speed to change from
+        problem, number, coasted = self.problem, self._number, state.coasted
+        least, full, late = self.base.least, self.base.fast, problem.rotation_order == 2
+        if late and coasted is None:  # R_1 is given: its factor is 1, and no speed to change from
             return {'slow': full, 'fast': full}
         entry, change = number(limits.entry), number(min(2.0, limits.change))
         slow, fast = max(least, entry - change), min(full, entry + change)
-        if known is not None and late and problem.floor.shape == 'polygon':
-            along = max(self.known.faces @ self._rows(known[:, 0]))
+        if coasted is not None and late and problem.floor.shape == 'polygon':
+            along = max(self.base.faces @ self._rows(coasted[:, 0]))
             if 0 < along < 1:  # on this axis the faces are farther
                 slow = max(slow, least / along * number(INWARD))
         return {'entry': entry, 'change': change, 'slow': slow, 'fast': fast}

@@ -50,11 +50,11 @@ class Verifier:
         self._statement, self._exact = Statement(problem, number), number is Fraction
         self._kind: type = object if self._exact else float
         self._bound = tree_bound if self._exact else _bound
-        known = self._statement.known
-        n, count, width = known.n, len(known.goals), known.start.shape[1]
-        self._work = work_of(known, self._kind)
+        base = self._statement.base
+        n, count, width = base.n, len(base.goals), base.start.shape[1]
+        self._work = work_of(base, self._kind)
         self._region = region_of(DEPTHS, 2 * count, n, self._kind)
-        self._sizes = {'N': count, 'n': n, 'd': width, 'm': known.arrives, '3': 3, '5': 5}
+        self._sizes = {'N': count, 'n': n, 'd': width, 'm': base.arrives, '3': 3, '5': 5}
         self._inner = [tuple(self._sizes[axis] for axis in axes[1:]) for axes in AXES]
         if COMPILED and not self._exact:
             if bare(_bound) is _bound:  # load machine code at start-up, not in a tick
@@ -96,11 +96,11 @@ class Verifier:
         most, what = 1 + SLICE // problem.horizon, PAUSED
         seen: tuple[Any, int, int] = 0.0, 0, 0
         try:
-            known = stated, tree_in_fractions(tree) if self._exact else tree, walk
+            inputs = stated, tree_in_fractions(tree) if self._exact else tree, walk
             while what == PAUSED or (what == DEEP and self._deepened()):
                 if seen[-1] and late and late():
                     return -math.inf
-                *seen, what = self._bound(*known, self._region, self._work, *seen, most)
+                *seen, what = self._bound(*inputs, self._region, self._work, *seen, most)
         except HOSTILE:
             return -math.inf
         if what != ENDED:
@@ -114,8 +114,8 @@ class Verifier:
             if value.dtype != KINDS[i] or value.ndim != len(axes):
                 return False
             needed = i < len(ARRAYS) or value.size > 0
-            whole = value.shape == (counts[axes[0]], *inner) and value.flags.c_contiguous
-            if needed and not whole:
+            fits = value.shape == (counts[axes[0]], *inner) and value.flags.c_contiguous
+            if needed and not fits:
                 return False
         return len(tree.nodes) > 0
 
