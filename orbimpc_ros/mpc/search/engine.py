@@ -76,26 +76,26 @@ class TreeSearch:
         cost = self._hessian, self._inverse, q, self._lengths, constant
         return StageProblem(*cost, self._floor, self._arrival, left, self._stiff)
 
-    def _run(self, request: Request, posed: StageProblem, tree: Tree, *given: object) -> Found:
+    def _run(self, request: Request, posed: StageProblem, tree: Tree, *inputs: object) -> Found:
         """Search until it ends or the time is up; return the result with its proof.
 
         Raises:
             Infeasible: the root is empty.
         """
         tree.counts[:] = 0  # it begins
-        while (status := self._search(posed, self._tolerance, tree, *given, SLICE)) == PAUSED:
-            if request.late or request.enough.met(self._found(tree, posed)):
+        while (status := self._search(posed, self._tolerance, tree, *inputs, SLICE)) == PAUSED:
+            if request.late or request.enough.met(self._result(tree, posed)):
                 break
         if status == EMPTY:
             raise Infeasible('no turn meets the cone of approach')
-        return self._found(tree, posed, self._proof(tree))
+        return self._result(tree, posed, self._proof(tree))
 
-    def _found(self, tree: Tree, posed: StageProblem, proof: ProofTree | None = None) -> Found:
+    def _result(self, tree: Tree, posed: StageProblem, proof: ProofTree | None = None) -> Found:
         """Return the incumbent, with the bound proved so far."""
         value, bound = float(tree.numbers[VALUE]), float(tree.numbers[LEAST])
-        found = tree.best.copy() if value < np.inf else None
-        known = value + posed.constant, bound - self._excess + posed.constant
-        return Found(found, *known, int(tree.counts[NODES]), proof=proof)
+        best = tree.best.copy() if value < np.inf else None
+        values = value + posed.constant, bound - self._excess + posed.constant
+        return Found(best, *values, int(tree.counts[NODES]), proof=proof)
 
     def _proof(self, tree: Tree) -> ProofTree:
         """Return the tree as the proof of its bound."""
@@ -139,12 +139,12 @@ class PlanarSearch(TreeSearch):
         changes = problem.max_rate > 0.0 or problem.max_acceleration > 0.0
         disks = not any((floor.exists, changes, aimed))
         straight = (disks or floor.shape == 'polygon') and not problem.weights.length
-        known = problem.dimension, problem.rotation_order, problem.terminal
+        kind = problem.dimension, problem.rotation_order, problem.terminal
         longest = LONGEST_INERTIAL if disks and problem.inertial else LONGEST
         return all(
             (
                 COMPILED,
-                known == (2, 1, 'penalty'),
+                kind == (2, 1, 'penalty'),
                 not problem.obstacles,
                 straight or (floor.shape == 'circle' and changes),
                 not (aimed and floor.fraction < problem.least_heading),

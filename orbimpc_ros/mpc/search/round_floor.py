@@ -95,13 +95,13 @@ def _set_out(posed, tree, descent, starts):
 
     With an arrival, the last start is used only after the root is solved.
     """
-    counts, given = tree.counts, len(starts)
+    counts, usable = tree.counts, len(starts)
     if posed.stiff > 0.0 and counts[NODES] == 0:
-        given -= 1
+        usable -= 1
     if counts[DUE] > 0:
         copy_to(descent.z, tree.z[counts[FROM]])
         counts[DUE] = 0
-    elif counts[BEGIN] < given:
+    elif counts[BEGIN] < usable:
         copy_to(descent.z, starts[counts[BEGIN]])
         counts[BEGIN] += 1
     else:
@@ -121,13 +121,13 @@ def _descend(posed, tolerance, tree, descent, work):
     same = SAME * abs(numbers[VALUE] + posed.constant)
     if descent.numbers[ACTIVE] > 0.0 or rise_of(posed, tree.best, z) > same:
         return work
-    before, cutoff = tree.known[0, KEY], cutoff_of(numbers[VALUE], posed.constant, tolerance)
+    before, cutoff = tree.progress[0, KEY], cutoff_of(numbers[VALUE], posed.constant, tolerance)
     certify(posed, z, descent.pull, tree, cutoff)
-    key = tree.known[0, KEY]
+    key = tree.progress[0, KEY]
     if key >= cutoff:
         counts[MADE], counts[OPEN], numbers[CLOSED], tree.nodes[0] = 1, 0, key, 0
     elif counts[MADE] > 1:
-        tree.known[0, KEY] = before
+        tree.progress[0, KEY] = before
     elif counts[OPEN] > 0:
         tree.keys[0] = key
     else:
@@ -145,7 +145,7 @@ def _split(tree, node, k, cutoff):
     first = branch(tree, node, kind, k, cut, parts)
     for i in range(first, first + parts):
         take_part(tree.sectors[i], k, LOW, HIGH, cut, parts, i - first)
-        leave_open(tree, i, tree.known[i, KEY], cutoff)
+        leave_open(tree, i, tree.progress[i, KEY], cutoff)
 
 
 @compiled
@@ -154,7 +154,7 @@ def _solve_node(posed, tolerance, tree, node, work):
     counts, near = tree.counts, NEAR if node > 0 else 0.0
     cutoff = cutoff_of(tree.numbers[VALUE], posed.constant, tolerance)
     status, work = climb(posed, tree, node, near, cutoff, work)
-    key = tree.known[node, KEY]
+    key = tree.progress[node, KEY]
     if status == GOING:
         leave_open(tree, node, key, np.inf)
         return work
@@ -261,15 +261,15 @@ class RoundFloor(TreeSearch):
         nodes = min(MOST, ROOM // steps) if n == 2 else 1
         tree = tree_for(get_ident(), nodes + MOST_ARCS, steps, n, KINDS)
         descent = Descent(np.zeros((steps, n)), np.zeros(n), np.zeros(6))
-        known = [] if guess is None else [guess[:, :n]]
-        starts = np.array([*known, -(self._inverse @ posed.q)])
-        found = self._run(request, posed, tree, descent, starts)
-        if found.x is not None and n == 3:
-            found = replace(found, x=coordinates(carried(request.state.attitude, found.x)))
+        guesses = [] if guess is None else [guess[:, :n]]
+        starts = np.array([*guesses, -(self._inverse @ posed.q)])
+        result = self._run(request, posed, tree, descent, starts)
+        if result.x is not None and n == 3:
+            result = replace(result, x=coordinates(carried(request.state.attitude, result.x)))
         # Setting up the general search takes longer than callers with a deadline can wait.
-        if found.gap <= self._tolerance or n == 2 or request.hurried:
-            return found
-        return self._by_branches(request, found)
+        if result.gap <= self._tolerance or n == 2 or request.hurried:
+            return result
+        return self._by_branches(request, result)
 
     def _left(self, request: Request) -> Array:
         """Return what headings have to add up to, weighted by the arrival's shares, shape (n,)."""
@@ -282,15 +282,15 @@ class RoundFloor(TreeSearch):
             raise Infeasible('the goal is out of reach')
         return left
 
-    def _by_branches(self, request: Request, found: Found) -> Found:
+    def _by_branches(self, request: Request, result: Found) -> Found:
         """Return the better of a result and that of the general search, with the higher bound."""
-        asked = iter(range(BRANCHES))
+        polls = iter(range(BRANCHES))
         other = self._general.solve(
             request._replace(
-                guess=found.x, out_of_time=lambda: request.late or next(asked, None) is None
+                guess=result.x, out_of_time=lambda: request.late or next(polls, None) is None
             )
         )
-        best = other if other.cost < found.cost else found
-        bound = other if other.lower_bound > found.lower_bound else found
-        known = replace(best, lower_bound=bound.lower_bound, proof=bound.proof)
-        return replace(known, nodes=found.nodes + other.nodes)
+        best = other if other.cost < result.cost else result
+        bound = other if other.lower_bound > result.lower_bound else result
+        combined = replace(best, lower_bound=bound.lower_bound, proof=bound.proof)
+        return replace(combined, nodes=result.nodes + other.nodes)

@@ -320,8 +320,8 @@ def prove(posed, theta, z, pull, tree, node):
         least += value + there
         terms += abs(value) + abs(there)
     least -= ROUNDING * count * terms
-    if least > tree.known[node, KEY]:
-        tree.known[node, KEY] = least
+    if least > tree.progress[node, KEY]:
+        tree.progress[node, KEY] = least
         copy_to(tree.point[node], z)
         copy_to(tree.kept[node, 0], kept)
         copy_to(tree.pull[node, 0], pull)
@@ -391,17 +391,17 @@ def certify(posed, z, pull, tree, cutoff):
                 held[c] = missed_by(posed, there, c) / bent
                 copy_to(there[:, c], column - held[c] * along)
         prove(posed, theta, there, held, tree, 0)
-        if tree.known[0, KEY] >= cutoff:
+        if tree.progress[0, KEY] >= cutoff:
             break
 
 
 @compiled
-def _begin(posed, held, known, rows, weights):
+def _begin(posed, held, progress, rows, weights):
     """Set the initial multipliers and mu; return the scale of q and H."""
     scale = np.abs(posed.q).max() + np.abs(posed.hessian).max() + 1e-300
-    going, mu = known[TAKEN] > 0.0, known[MU]
+    going, mu = progress[TAKEN] > 0.0, progress[MU]
     if not going:
-        mu = known[MU] = min(scale, SMOOTHED * mu) if mu > 0.0 else scale
+        mu = progress[MU] = min(scale, SMOOTHED * mu) if mu > 0.0 else scale
     for i in range(len(weights)):
         weights[i] = held[rows.kinds[i], rows.steps[i]]
         if not going and i < held.shape[1]:
@@ -426,16 +426,16 @@ def climb(posed, tree, node, near, cutoff, work):
     Returns:
         The outcome, and the remaining multiplications.
     """
-    z, held, known = tree.z[node], tree.held[node], tree.known[node]
+    z, held, progress = tree.z[node], tree.held[node], tree.progress[node]
     count, rows = len(z), rows_of(posed.floor, tree.sectors[node], z.shape[1])
     total, status = len(rows.steps), CLIMBED
     weights, inverse, pull = np.empty(total), np.empty((count, count)), np.zeros(z.shape[1])
     system, step, theta = np.empty((total, total)), np.empty(total), np.empty(count)
-    scale = _begin(posed, held, known, rows, weights)
+    scale = _begin(posed, held, progress, rows, weights)
     reached = _set_minimiser(posed, rows, weights, inverse, z, pull)
-    while reached[1] > -np.inf and known[MU] >= SMALLEST * scale and known[TAKEN] < CLIMBS:
-        known[TAKEN] += 1.0
-        mu = known[MU]
+    while reached[1] > -np.inf and progress[MU] >= SMALLEST * scale and progress[TAKEN] < CLIMBS:
+        progress[TAKEN] += 1.0
+        mu = progress[MU]
         if not _set_ascent(posed, rows, weights, mu, inverse, z, system, step):
             break
         share, tried, reached = _advance(posed, rows, weights, mu, step, reached, inverse, z, pull)
@@ -444,14 +444,14 @@ def climb(posed, tree, node, near, cutoff, work):
         for i in range(total):
             theta[rows.steps[i]] += rows.curved[i] * weights[i]
         prove(posed, theta, z, pull, tree, node)
-        lacking = cutoff - known[KEY]
+        lacking = cutoff - progress[KEY]
         if lacking <= 0.0:
             status = PRUNED
             break
         if lacking < np.inf and mu * (2.0 * count + total) <= near * lacking:
             break
         if share > 0.3 or share == 0.0:  # nearly maximal, or at the limit of rounding
-            known[MU] *= SHRINK
+            progress[MU] *= SHRINK
         if work <= 0.0:
             status = GOING
             break

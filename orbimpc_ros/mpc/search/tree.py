@@ -77,7 +77,7 @@ from orbimpc_ros.mpc.search.ring import (
 )
 
 PROMISES = 3  # in Tree.counts
-KEY, TAKEN, MU = range(3)  # in Tree.known: bound; Newton steps; smoothing of the dual function
+KEY, TAKEN, MU = range(3)  # in Tree.progress: bound; Newton steps; smoothing of the dual function
 MOST_ARCS = 5  # most arcs that the headings of a step are split into
 NODE, STEP = 1500.0, 350.0  # work of a node in addition to its relaxation, and per step
 NARROWEST = 1e-6  # narrower sectors [rad] and ranges of speeds are not cut
@@ -99,7 +99,7 @@ class Tree(NamedTuple):
         held: multipliers by kind, shape (M, K, N).
         kept: curvatures assigned to single steps in that bound, shape (M, C, N).
         pull: multipliers of an arrival in that bound, shape (M, C, n).
-        known: see the names of its entries, shape (M, 3).
+        progress: see the names of its entries, shape (M, 3).
         nodes: as in proofs (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but with leaves not
             numbered yet, shape (M, 5).
         at: the first angle [rad], or the speed, between a node's children, shape (M,).
@@ -117,7 +117,7 @@ class Tree(NamedTuple):
     held: Array
     kept: Array
     pull: Array
-    known: Array
+    progress: Array
     nodes: np.ndarray
     at: Array
     keys: Array
@@ -143,8 +143,8 @@ def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
     shor, shaped = min(1, kinds), 0 if kinds else steps
     wide = (steps, SECTOR), (shaped, OUTLINE), (steps, n), (steps, n), (kinds, steps)
     shapes = *wide, (shor, steps), (shor, n), (3,), (5,), (), (), ()
-    known = [_kept(thread, i, nodes, shape) for i, shape in enumerate(shapes)]
-    return Tree._make([*known, np.zeros((steps, n)), np.zeros(8, np.int64), np.zeros(3)])
+    arrays = [_kept(thread, i, nodes, shape) for i, shape in enumerate(shapes)]
+    return Tree._make([*arrays, np.zeros((steps, n)), np.zeros(8, np.int64), np.zeros(3)])
 
 
 def _kept(thread: int, i: int, nodes: int, shape: tuple[int, ...]) -> np.ndarray:
@@ -161,7 +161,7 @@ def plant(tree):
     """Begin a search with an open root, which is zero but for its sectors, and no incumbent."""
     for data in (tree.z, tree.point, tree.held, tree.kept, tree.pull):
         data[0] = 0.0
-    tree.nodes[0], tree.known[0], tree.known[0, KEY], tree.at[0] = 0, 0.0, -np.inf, 0.0
+    tree.nodes[0], tree.progress[0], tree.progress[0, KEY], tree.at[0] = 0, 0.0, -np.inf, 0.0
     tree.counts[:], tree.numbers[:] = 0, np.inf
     tree.counts[MADE], tree.numbers[LEAST] = 1, -np.inf
     leave_open(tree, 0, -np.inf, np.inf)
@@ -182,8 +182,8 @@ def branch(tree, node, kind, choice, cut, parts):
         for c in range(nodes.shape[1]):
             nodes[i, c] = 0
         tree.at[i] = 0.0
-        tree.known[i, KEY], tree.known[i, MU] = tree.known[node, KEY], tree.known[node, MU]
-        tree.known[i, TAKEN] = 0.0
+        copy_to(tree.progress[i], tree.progress[node])
+        tree.progress[i, TAKEN] = 0.0
     return first
 
 
@@ -245,14 +245,14 @@ def _aim(ring, sector):
         return 0.0, 1
     end = sector[len(sector) - 1]
     first = np.ceil((end[LOW] - ring.within - ring.last) / TURN)
-    ways = int(np.floor((end[HIGH] + ring.within - ring.last) / TURN) - first) + 1
-    if ways == 1:
+    windings = int(np.floor((end[HIGH] + ring.within - ring.last) / TURN) - first) + 1
+    if windings == 1:
         middle = ring.last + TURN * first
         end[LOW] = max(end[LOW], middle - ring.within)
         end[HIGH] = min(end[HIGH], middle + ring.within)
         if ring.widest < HALF:
             _narrow(sector, len(sector) - 1, LOW, HIGH, ring.widest)
-    return first, ways
+    return first, windings
 
 
 @compiled
@@ -397,7 +397,7 @@ def _split(posed, ring, tree, node, choice, cut, parts, cutoff, room):
     for i in range(first, first + parts):
         sector, shapes = tree.sectors[i], tree.shapes[i]
         if not _set_part(ring, sector, choice, cut, parts, i - first):
-            tree.nodes[i, ROW], tree.known[i, KEY] = -1, np.inf  # it is empty
+            tree.nodes[i, ROW], tree.progress[i, KEY] = -1, np.inf  # it is empty
             continue
         for k in range(len(sector)):
             room.changed[k] = False
@@ -408,10 +408,10 @@ def _split(posed, ring, tree, node, choice, cut, parts, cutoff, room):
         if _moved(posed, shapes, room.changed, tree.z[i], room.trial):
             set_slope(posed.hessian, posed.q, room.trial, room.slope)
             key = tangent_bound(posed, shapes, room.trial, room.slope)[1]
-            if key > tree.known[i, KEY]:
-                tree.known[i, KEY] = key
+            if key > tree.progress[i, KEY]:
+                tree.progress[i, KEY] = key
                 copy_to(tree.point[i], room.trial)
-        leave_open(tree, i, tree.known[i, KEY], cutoff)
+        leave_open(tree, i, tree.progress[i, KEY], cutoff)
 
 
 @compiled
@@ -514,11 +514,11 @@ def _choose(posed, ring, tree, node, room):
 def _solve_node(posed, ring, tree, node, tolerance, room, work):
     """Relax a node, round its point, and split it; return the remaining multiplications."""
     counts, numbers = tree.counts, tree.numbers
-    first, ways = _aim(ring, tree.sectors[node])
+    first, windings = _aim(ring, tree.sectors[node])
     choice, cut, parts, status = len(posed.q) - 1, ring.last + TURN * first + np.pi, 2, SOLVED
-    if ways == 1:
+    if windings == 1:
         limits = cutoff_of(numbers[VALUE], posed.constant, tolerance), ACCURATE * tolerance
-        relaxed = tree.z[node], tree.point[node], tree.known[node], tree.shapes[node]
+        relaxed = tree.z[node], tree.point[node], tree.progress[node], tree.shapes[node]
         status, work = relax(posed, relaxed, limits, room, work)
         choice = -1
         if status in (SOLVED, STALLED):
@@ -526,11 +526,11 @@ def _solve_node(posed, ring, tree, node, tolerance, room, work):
     if status == GOING:
         if ring.fraction == 0.0:
             take_better(posed, tree, tree.z[node])
-        leave_open(tree, node, tree.known[node, KEY], np.inf)
+        leave_open(tree, node, tree.progress[node, KEY], np.inf)
         return work
     counts[NODES] += 1
     if choice < 0:
-        close(tree, tree.known[node, KEY])
+        close(tree, tree.progress[node, KEY])
         return work
     cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
     _split(posed, ring, tree, node, choice, cut, parts, cutoff, room)
