@@ -65,8 +65,8 @@ class Places(NamedTuple):
     balls: np.ndarray
 
 
-class Asked(NamedTuple):
-    """Data of one solve: the constraints, and where they would not matter.
+class PlaceLimits(NamedTuple):
+    """The constraints of one solve on places, and the minimiser without them.
 
     Attributes:
         free: places of the unconstrained minimiser, shape (P, n).
@@ -138,30 +138,30 @@ def _set_values(gram, free, held, count):
 
 
 @compiled
-def _find(known, asked, held, count):
+def _find(places, limits, held, count):
     """Make the violated row that raises the dual value most the new one; return if there is any."""
-    worst, values, row, found = 0.0, held.values, held.normals[count], False
+    worst, values, row, violated = 0.0, held.values, held.normals[count], False
     n = values.shape[1]
-    for m in range(len(asked.places)):
-        p, short = asked.places[m], asked.offsets[m]
+    for m in range(len(limits.places)):
+        p, short = limits.places[m], limits.offsets[m]
         for c in range(n):
-            short -= asked.normals[m, c] * values[p, c]
-        if short > OUTSIDE and short * short > worst * known.gram[p, p]:
-            worst, found = short * short / max(known.gram[p, p], 1e-300), True
-            held.at[count], held.rows[count], held.offsets[count] = p, m, asked.offsets[m]
-            copy_to(row, asked.normals[m])
-    for b in range(len(known.balls)):
-        p, square = known.balls[b], 0.0
+            short -= limits.normals[m, c] * values[p, c]
+        if short > OUTSIDE and short * short > worst * places.gram[p, p]:
+            worst, violated = short * short / max(places.gram[p, p], 1e-300), True
+            held.at[count], held.rows[count], held.offsets[count] = p, m, limits.offsets[m]
+            copy_to(row, limits.normals[m])
+    for b in range(len(places.balls)):
+        p, square = places.balls[b], 0.0
         for c in range(n):
-            square += (values[p, c] - asked.centres[b, c]) ** 2
-        short = np.sqrt(square) - asked.radii[b]
-        if short > OUTSIDE and short * short > worst * known.gram[p, p]:
-            worst, found = short * short / max(known.gram[p, p], 1e-300), True
-            held.at[count], held.rows[count], held.offsets[count] = p, -1 - b, -asked.radii[b]
+            square += (values[p, c] - limits.centres[b, c]) ** 2
+        short = np.sqrt(square) - limits.radii[b]
+        if short > OUTSIDE and short * short > worst * places.gram[p, p]:
+            worst, violated = short * short / max(places.gram[p, p], 1e-300), True
+            held.at[count], held.rows[count], held.offsets[count] = p, -1 - b, -limits.radii[b]
             for c in range(n):
-                row[c] = (asked.centres[b, c] - values[p, c]) / np.sqrt(square)
-                held.offsets[count] += row[c] * asked.centres[b, c]
-    return found
+                row[c] = (limits.centres[b, c] - values[p, c]) / np.sqrt(square)
+                held.offsets[count] += row[c] * limits.centres[b, c]
+    return violated
 
 
 @compiled
@@ -189,11 +189,11 @@ def _blocking(held, count, r):
 
 
 @compiled
-def _add(known, held, count, r):
+def _add(places, held, count, r):
     """Add the new row to the active set, dropping rows that block it.
 
     Args:
-        known: the quadratic.
+        places: data common to all solves.
         held: the active set.
         count: number of its rows.
         r: set to the decrease of the other multipliers per unit of the new one, shape (S,).
@@ -203,7 +203,7 @@ def _add(known, held, count, r):
         number of rows; and by how much the dual value rises.
     """
     place, row, size = held.at[count], held.normals[count], len(held.u)
-    gap, own, held.u[count] = held.offsets[count], known.gram[place, place], 0.0
+    gap, own, held.u[count] = held.offsets[count], places.gram[place, place], 0.0
     risen = 0.0
     for c in range(len(row)):
         gap -= row[c] * held.values[place, c]
@@ -211,13 +211,13 @@ def _add(known, held, count, r):
         along = 0.0
         for c in range(len(row)):
             along += row[c] * held.normals[i, c]
-        held.gram[count, i] = along * known.gram[held.at[i], place]
+        held.gram[count, i] = along * places.gram[held.at[i], place]
     for _ in range(4 * size):
         copy_to(r[:count], held.gram[count, :count])
         curvature = own - solve_factored(held.factor, r, count)
         blocking, limit = _blocking(held, count, r)
-        whole = gap / curvature if curvature > FLAT * own else np.inf
-        move = min(limit, whole)
+        full = gap / curvature if curvature > FLAT * own else np.inf
+        move = min(limit, full)
         if move == np.inf:
             return BLOCKED, count + 1, risen
         held.u[count] += move
@@ -225,7 +225,7 @@ def _add(known, held, count, r):
         for i in range(count):
             held.u[i] = max(0.0, held.u[i] - move * r[i])
         gap -= move * max(0.0, curvature)
-        if whole <= limit:
+        if full <= limit:
             count += 1
             if count < size and extend_factor(held.gram, held.factor, count - 1, count, SINGULAR):
                 return ADDED, count, risen
@@ -237,12 +237,12 @@ def _add(known, held, count, r):
 
 
 @entry_point
-def minimise(known, asked, held, count, value, work):
+def minimise(places, limits, held, count, value, work):
     """Solve from an active set that is optimal for its rows: an empty or an interrupted one.
 
     Args:
-        known: the quadratic and its places.
-        asked: data of this solve.
+        places: data common to all solves.
+        limits: the constraints of this solve.
         held: the active set, updated in place; ``values`` are the places of the solution.
         count: number of its rows.
         value: the dual value.
@@ -252,24 +252,24 @@ def minimise(known, asked, held, count, value, work):
         The status, the dual value, and the number of active rows. Their multipliers belong to the
         solution, or if ``REFUTED`` prove infeasibility.
     """
-    r, n = np.empty(len(held.u)), asked.free.shape[1]
-    each = float((len(asked.places) + len(known.balls) + count * len(asked.free)) * n)
-    _set_values(known.gram, asked.free, held, count)
+    r, n = np.empty(len(held.u)), limits.free.shape[1]
+    each = float((len(limits.places) + len(places.balls) + count * len(limits.free)) * n)
+    _set_values(places.gram, limits.free, held, count)
     for _ in range(ITERATIONS):
-        if not _find(known, asked, held, count):
+        if not _find(places, limits, held, count):
             return SOLVED, value, count
         if work <= 0.0:
             return INTERRUPTED, value, count
-        became, count, risen = _add(known, held, count, r)
+        became, count, risen = _add(places, held, count, r)
         value += risen
         if became == BROKEN:
             return STALLED, -np.inf, 0
-        work -= each + count * (2.0 * count + len(asked.free) * n)
-        _set_values(known.gram, asked.free, held, count)
+        work -= each + count * (2.0 * count + len(limits.free) * n)
+        _set_values(places.gram, limits.free, held, count)
         if became == BLOCKED:
             y = np.maximum(0.0, -r[:count])
             y[-1] = 1.0
-            if refutes(known.maps, (held.at, held.normals, held.offsets), y):
+            if refutes(places.maps, (held.at, held.normals, held.offsets), y):
                 copy_to(held.u, y)
                 return REFUTED, value, count
             return STALLED, value, count
@@ -295,7 +295,7 @@ class PlaceProgram:
         last = len(maps) - len(turned)
         balls = np.concatenate([np.arange(steps), last + np.arange(len(turned))])
         gram = maps @ self._inverse @ maps.T
-        self._known = Places(maps, 0.5 * (gram + gram.T), balls)
+        self._places = Places(maps, 0.5 * (gram + gram.T), balls)
         self._held = active_set(steps, len(maps), n)
         self._request: Request | None = None
         self._minimise = bare(minimise)
@@ -328,8 +328,8 @@ class PlaceProgram:
         problem, self._request, state = self.problem, request, request.state
         q, constant = self._condensed.affine(state, request.goals)
         free = -self._inverse @ q
-        self._free, self._least = self._known.maps @ free, constant + 0.5 * float(np.vdot(q, free))
-        self._centres = np.zeros((len(self._known.balls), problem.dimension))
+        self._free, self._least = self._places.maps @ free, constant + 0.5 * float(np.vdot(q, free))
+        self._centres = np.zeros((len(self._places.balls), problem.dimension))
         self._radii = np.ones(len(self._centres))
         self._radii[problem.horizon :] = problem.chord
         if problem.max_rate and not problem.turns_are_angles:
@@ -342,24 +342,24 @@ class PlaceProgram:
         """See :meth:`orbimpc_ros.mpc.solve.relaxation.Relaxed.relax`."""
         if request is not self._request:
             self._bind(request)
-        asked, count, bound = self._asked(rows, chords), 0, self._least
+        limits, count, bound = self._limits(rows, chords), 0, self._least
         while True:
-            given = self._known, asked, self._held, count, bound, SLICE
-            status, bound, count = self._minimise(*given)
+            data = self._places, limits, self._held, count, bound, SLICE
+            status, bound, count = self._minimise(*data)
             if status != INTERRUPTED or request.late:
                 break
         x = self._coordinates(request.state) if status == SOLVED else None
         multipliers = self._multipliers(count, len(rows))
         return Relaxation(x, bound, multipliers, empty=status == REFUTED)
 
-    def _multipliers(self, count: int, asked: int) -> Multipliers:
+    def _multipliers(self, count: int, passed: int) -> Multipliers:
         held, (steps, n) = self._held, (self.problem.horizon, self.problem.dimension)
-        sizes, tether = np.zeros(asked), np.zeros((steps, n))
+        sizes, tether = np.zeros(passed), np.zeros((steps, n))
         for i, row in enumerate(held.rows[:count].tolist()):
-            if 0 <= row < asked:  # later rows are the edges of the cone of the first turn
+            if 0 <= row < passed:  # later rows are the edges of the cone of the first turn
                 sizes[row] += held.u[i]
             elif row < -steps:  # tangent to the ball of a chord; the last ball is of the last step
-                tether[-1 - row - len(self._known.balls)] -= held.u[i] * held.normals[i]
+                tether[-1 - row - len(self._places.balls)] -= held.u[i] * held.normals[i]
         nothing = np.zeros((0, n)), np.zeros((0, 0))
         return Multipliers(held.values[:steps].copy(), sizes, *nothing, tether, 0.0 * tether)
 
@@ -368,13 +368,13 @@ class PlaceProgram:
         axes = self._held.values[: self.problem.horizon].copy()
         return axes if self.problem.dimension == 2 else coordinates(carried(state.attitude, axes))
 
-    def _asked(self, rows: Sequence[Row], chords: Array | None) -> Asked:
+    def _limits(self, rows: Sequence[Row], chords: Array | None) -> PlaceLimits:
         steps, radii = self.problem.horizon, self._radii
         if chords is not None:
             radii = radii.copy()
             radii[steps:] = np.minimum(radii[steps:], chords)
-        known = stacked([*rows, *self._edges], self.problem.dimension)
-        return Asked(self._free, self._centres, radii, *known)
+        half_spaces = stacked([*rows, *self._edges], self.problem.dimension)
+        return PlaceLimits(self._free, self._centres, radii, *half_spaces)
 
 
 def _edges(problem: Problem, state: State) -> list[Row]:
