@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_256,
-    'orbimpc_ros/mpc': 14_687,
+    'orbimpc_ros': 28_255,
+    'orbimpc_ros/mpc': 14_686,
     'orbimpc_ros/loop': 3_136,
     'orbimpc_ros/ros': 4_047,
     'orbimpc_ros/sim': 2_200,
