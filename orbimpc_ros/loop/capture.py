@@ -99,8 +99,8 @@ class Events:
         if not 0.0 <= odometry.time - before.time <= patience:
             before, then, self._entered = odometry, goal, None
         self._last = odometry, goal
-        ways = (before.position, odometry.position), (then, goal)
-        nearest, share = map(float, closest_approach(*ways))
+        paths = (before.position, odometry.position), (then, goal)
+        nearest, share = map(float, closest_approach(*paths))
         headings = before.attitude[:, 0], odometry.attitude[:, 0]
         headed = approach is None or is_headed(approach, headings, share)
         self.caught = self.caught or (nearest <= radius and headed)
@@ -114,8 +114,8 @@ class Events:
 class VelocityFrameCheck:
     """Compares velocities, given in the ``body`` or ``world`` frame, with changes of position."""
 
-    def __init__(self, given: str) -> None:
-        self._given = given
+    def __init__(self, frame: str) -> None:
+        self._frame = frame
         self._last: Odometry | None = None
         self._errors: deque[Array] = deque(maxlen=WINDOW)  # errors by frame; the speed
 
@@ -130,10 +130,10 @@ class VelocityFrameCheck:
             return
         moved = (odometry.position - last.position) / (odometry.time - last.time)
         turned, velocity = odometry.attitude, odometry.body_velocity
-        as_given = turned @ velocity
+        as_stated = turned @ velocity
         # If wrong, body velocities are world ones already, and world ones still to be rotated.
-        otherwise = velocity if self._given == 'body' else turned @ as_given
-        compared = np.array([moved - as_given, moved - otherwise, velocity])
+        otherwise = velocity if self._frame == 'body' else turned @ as_stated
+        compared = np.array([moved - as_stated, moved - otherwise, velocity])
         self._errors.append(np.linalg.norm(compared, axis=1))
 
     @property
@@ -141,8 +141,8 @@ class VelocityFrameCheck:
         """Return a message if velocities fit the other frame better; otherwise an empty string."""
         if len(self._errors) < WINDOW:
             return ''
-        given, other, speed = np.sum(self._errors, axis=0)
-        if other > FITS_BETTER * given or given <= TELLING * speed:  # equal: all are 0 at rest
+        stated, other, speed = np.sum(self._errors, axis=0)
+        if other > FITS_BETTER * stated or stated <= TELLING * speed:  # equal: all are 0 at rest
             return ''
-        frame = 'world' if self._given == 'body' else 'body'
-        return f'velocities fit the flown path better in the {frame} frame: see velocity_frame'
+        better = 'world' if self._frame == 'body' else 'body'
+        return f'velocities fit the flown path better in the {better} frame: see velocity_frame'

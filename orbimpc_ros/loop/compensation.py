@@ -131,10 +131,10 @@ class CommandHistory:
         """
         flown, reached = 0.0, self.applied(begin)
         for time, command, before in self.intervals(begin, end):
-            given = command if self.lag else before
-            if given is None:
+            acting = command if self.lag else before
+            if acting is None:
                 return None
-            reached, covered = followed(reached, given.speed_fraction, time, self.lag)
+            reached, covered = followed(reached, acting.speed_fraction, time, self.lag)
             flown += covered
         return flown / (end - begin)
 
@@ -152,16 +152,16 @@ class CommandHistory:
 
     def intervals(self, begin: float, end: float) -> list[Interval]:
         """Return the commands in force from ``begin`` to ``end`` [s]; empty unless begin < end."""
-        found, before, command, since = [], None, None, begin
+        intervals, before, command, since = [], None, None, begin
         for at, following, _ in self.sent:
             if since < at < end:
-                found.append(Interval(at - since, command, before))
+                intervals.append(Interval(at - since, command, before))
                 since = at
             if at < end:
                 before, command = command, following
         if end > since:
-            found.append(Interval(end - since, command, before))
-        return found
+            intervals.append(Interval(end - since, command, before))
+        return intervals
 
 
 def followed(reached: F, wanted: F, duration: float, lag: float) -> tuple[F, F]:
@@ -209,8 +209,8 @@ class Response:
         The ``euler`` model already contains half a step of it: it keeps R_k for the whole step in
         which a vehicle turns to R_{k+1}.
         """
-        known = 0.5 * problem.step if problem.discretisation == 'euler' else 0.0
-        return max(0.0, self.rate - known)
+        included = 0.5 * problem.step if problem.discretisation == 'euler' else 0.0
+        return max(0.0, self.rate - included)
 
 
 GIVEN, ESTIMATED = 'given', 'estimated'
@@ -239,7 +239,7 @@ class PlanStart(NamedTuple):
 
     odometry: Odometry  # initial motion of the plan
     state: dict[str, Any]  # the same as arguments of State.at
-    told: dict[str, Any]  # fields of a decision on how it was found
+    compensated: dict[str, Any]  # fields of a decision: delay, lag, disturbance, innovation
     odd: tuple[str, ...]  # messages if the estimate was limited, or the speed is out of range
 
 
@@ -303,9 +303,9 @@ class Compensator:
     @property
     def disturbance(self) -> Array:
         """Return the wind [m/s] or acceleration [m/s^2], with the given part, shape (n,)."""
-        found: Array = self._estimate[-1].copy()
-        found.setflags(write=False)
-        return found
+        disturbance: Array = self._estimate[-1].copy()
+        disturbance.setflags(write=False)
+        return disturbance
 
     def start(
         self,
@@ -325,14 +325,14 @@ class Compensator:
         limited = self.observe(odometry, wind) if self._estimated else ''
         coming = [] if now is None else self.history.intervals(now - latency, now)
         odometry = self._settled(odometry, coming)
-        led = self.response.lead(self._problem)
-        told = {
+        compensated = {
             'advanced': latency if coming else 0.0,
-            'led': led,
+            'led': self.response.lead(self._problem),
             'disturbance': self.disturbance,
             'innovation': self.innovation if self._estimated else None,
         }
-        return PlanStart(odometry, self.state(odometry), told, (self.odd_speed(odometry), limited))
+        odd = self.odd_speed(odometry), limited
+        return PlanStart(odometry, self.state(odometry), compensated, odd)
 
     def advanced(self, measured: Odometry, intervals: Sequence[Interval]) -> Odometry:
         """Return the measurement propagated over intervals; unchanged without any.
@@ -385,9 +385,9 @@ class Compensator:
                 arcs.append((time, turning, thrust * full if inertial else air))
             return arcs, air, rate
         share = self.history.applied(measured.time)
-        for whole, command, _ in intervals:
+        for duration, command, _ in intervals:
             for _ in range(PARTS):
-                time, wanted, turn = whole / PARTS, share, rate
+                time, wanted, turn = duration / PARTS, share, rate
                 if command is not None:
                     wanted, turn = command.speed_fraction, command.body_rate
                 later, flown = followed(share, wanted, time, lags.speed)
@@ -530,9 +530,9 @@ class Compensator:
 
     def _limit(self) -> str:
         """Limit the disturbance to what the vehicle can counteract; return a message if limited."""
-        problem, known = self._problem, REPORTED if self._reported > -math.inf else LARGEST
+        problem, share = self._problem, REPORTED if self._reported > -math.inf else LARGEST
         size, given = (float(np.linalg.norm(each)) for each in (self._estimate[-1], self._given))
-        most = max(known * problem.forward, given)
+        most = max(share * problem.forward, given)
         if size <= most:
             return ''
         self._estimate[-1] *= most / size

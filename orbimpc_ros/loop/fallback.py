@@ -59,9 +59,9 @@ def clear_instead(task: Task, plan: Plan) -> Plan:
     Without one, return the path or plan whose first steps keep farthest from hazards. The bound of
     the plan also holds for its replacement.
     """
-    ways = [each for each in _ways(task, plan.proof) if holds(*task.known, each)]
+    paths = [each for each in _fallback_paths(task, plan.proof) if holds(*task.known, each)]
     farthest = partial(_room, task, SURE_STEPS)
-    return cheapest_clear(task, ways) or max([*ways, plan], key=farthest)
+    return cheapest_clear(task, paths) or max([*paths, plan], key=farthest)
 
 
 def clearest(task: Task) -> tuple[Plan | None, float]:
@@ -75,7 +75,7 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
     problem, state, goals = task.known
     alone = problem, replace(state, hazards=()), goals
     rest = [] if task.rest is None else [replace(task.rest, proof=UNPROVED)]
-    found = [each for each in chain(rest, _ways(task, UNPROVED)) if holds(*alone, each)]
+    paths = [each for each in chain(rest, _fallback_paths(task, UNPROVED)) if holds(*alone, each)]
     unit, over = SAME * problem.maps.unit, np.array([problem.step * problem.horizon])
 
     def rank(plan: Plan) -> tuple[int, int, float]:
@@ -85,7 +85,7 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
         depths = [each.depth(plan.positions[-1:], over)[0] for each in state.hazards]
         return clear, room, -max(depths)
 
-    best = max(found, key=rank, default=None)
+    best = max(paths, key=rank, default=None)
     return best, 0.0 if best is None else _room(task, problem.horizon, best)
 
 
@@ -99,8 +99,8 @@ def leaving(task: Task) -> Task | None:
     around = [each for each in boxes if each.depth(here)[0] > 0.0]
     others = tuple(each for each in problem.obstacles if each not in around)
     hazards = (*state.hazards, *map(MovingObstacle.drifting, around))[-MAX_HAZARDS:]
-    known = replace(problem, obstacles=others), replace(state, hazards=hazards)
-    return replace(task, problem=known[0], state=known[1]) if around else None
+    problem, state = replace(problem, obstacles=others), replace(state, hazards=hazards)
+    return replace(task, problem=problem, state=state) if around else None
 
 
 def _suffices(task: Task, steps: int, plan: Plan) -> bool:
@@ -108,7 +108,7 @@ def _suffices(task: Task, steps: int, plan: Plan) -> bool:
     return _room(task, steps, plan) >= -TOUCHING * task.problem.maps.unit
 
 
-def _ways(task: Task, proof: Proof) -> Iterator[Plan]:
+def _fallback_paths(task: Task, proof: Proof) -> Iterator[Plan]:
     """Yield plans found without search, given a proof of their bound; turns first, which evade."""
     for x in in_time(chain(turning(*task.known), straight(*task.known)), task.late):
         yield assemble(*task.known, x, projection=task.projection, proof=proof)
@@ -181,8 +181,8 @@ def safe_command(
         return Command(kept, rate, np.array(attitude))
     rate[-1] = min(2.0 * math.pi / (CIRCLE_STEPS * problem.step), problem.max_rate or math.inf)
     circled = problem.floor.circling(problem.dimension)
-    told = moved_towards(problem, entry_of_safety(problem, fraction), circled)
-    return Command(told, rate, attitude @ exp(problem.step * rate))
+    share = moved_towards(problem, entry_of_safety(problem, fraction), circled)
+    return Command(share, rate, attitude @ exp(problem.step * rate))
 
 
 def entry_of_safety(problem: Problem, fraction: float) -> float:

@@ -136,7 +136,7 @@ class _Attempt(NamedTuple):
     The refutation has been verified if ``checked``.
     """
 
-    found: tuple[Task, Answer] | None = None
+    solution: tuple[Task, Answer] | None = None
     end: float = 0
     miss: float = math.inf
     never: bool = False
@@ -145,7 +145,7 @@ class _Attempt(NamedTuple):
     @property
     def plan(self) -> Plan | None:
         """Return the plan, or None."""
-        return None if self.found is None else self.found[1][0]
+        return None if self.solution is None else self.solution[1][0]
 
 
 MISSED = _Attempt()
@@ -243,15 +243,15 @@ class Interception:
         first = min(bound, best.end) if caught else bound
         goals = self._goals(query, self._horizon)
         sought = Case(self._tracked, query.task.state, goals, self._radius)
-        when, known = best.end if caught else math.nan, min(counted, first)
-        catch = Intercept(self._step * when, self._step * first, sought, self._step * known)
-        return best.found, catch
+        when, verified = best.end if caught else math.nan, min(counted, first)
+        catch = Intercept(self._step * when, self._step * first, sought, self._step * verified)
+        return best.solution, catch
 
     def _goals(self, query: InterceptQuery, end: float) -> Array:
         """Return the positions of the goal at all steps up to an end, shape (N or less, n)."""
-        known, motion = query.task.goals, query.motion
-        if motion is None or (end <= len(known) and end == int(end)):
-            return known[: int(end)]
+        goals, motion = query.task.goals, query.motion
+        if motion is None or (end <= len(goals) and end == int(end)):
+            return goals[: int(end)]
         count, step = _steps_to(self._tracked, end)
         return motion.at(query.now + step * np.arange(1.0, count + 1.0))
 
@@ -270,8 +270,8 @@ class Interception:
         # Largest relative motion of vehicle and goal in a step.
         travel = self._step * self._tracked.forward + float(moved.max(initial=0.0))
         near = max(self._near, self._radius + travel)
-        known = self._tracked, query.task.state, goals
-        out_of_reach, too_far = missed(*known, np.array([[self._radius], [near]]))
+        case = self._tracked, query.task.state, goals
+        out_of_reach, too_far = missed(*case, np.array([[self._radius], [near]]))
         for end in range(1, self._horizon + 1):
             attempt = MISSED if too_far[end - 1] else self._tried(query, end, goals[:end])
             surely = bool(out_of_reach[end - 1])
@@ -309,56 +309,56 @@ class Interception:
 
         The distance to the last miss is doubled until there is a catch, and then bisected.
         """
-        last, away, found = self._last(query), 1, MISSED
+        last, away, catch = self._last(query), 1, MISSED
         missed: float = max(self._horizon, min(math.ceil(query.expected), last))
-        while found.plan is None and missed < last:
+        while catch.plan is None and missed < last:
             end = min(missed + away, last)
-            found, away = self._surely(query, end), 2 * away
-            missed = missed if found.plan else end
-        return self._bisected(query, missed, found, 1.0)
+            catch, away = self._surely(query, end), 2 * away
+            missed = missed if catch.plan else end
+        return self._bisected(query, missed, catch, 1.0)
 
     def _bisected(
-        self, query: InterceptQuery, missed: float, found: _Attempt, finest: float
+        self, query: InterceptQuery, missed: float, catch: _Attempt, finest: float
     ) -> _Attempt:
         """Return the first catch after an end without one, up to the resolution ``finest``."""
-        while found.end - missed > finest:
-            middle = finest * ((missed + found.end) // (2.0 * finest))
+        while catch.end - missed > finest:
+            middle = finest * ((missed + catch.end) // (2.0 * finest))
             sooner = self._surely(query, middle)
-            found, missed = (sooner, missed) if sooner.plan else (found, middle)
-        return found
+            catch, missed = (sooner, missed) if sooner.plan else (catch, middle)
+        return catch
 
-    def _sooner(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
+    def _sooner(self, query: InterceptQuery, catch: _Attempt) -> _Attempt:
         """Return an earlier catch than the one found, if any, doubling the distance each time."""
         for away in (1, 2, 4, 8):
-            end = math.ceil(found.end) - away
-            likely = end > self._horizon and found.miss <= self._radius
+            end = math.ceil(catch.end) - away
+            likely = end > self._horizon and catch.miss <= self._radius
             sooner = self._surely(query, end) if likely else MISSED
             if sooner.plan is None:
                 break
-            found = sooner
-        return found
+            catch = sooner
+        return catch
 
-    def _through_the_middle(self, query: InterceptQuery, found: _Attempt) -> _Attempt:
+    def _through_the_middle(self, query: InterceptQuery, catch: _Attempt) -> _Attempt:
         """Return the catch at the same end through the centre of the goal, if there is one.
 
         It ends short of the goal by the remaining distance of the given catch, and a little more.
         The earliest catch turns at once and as fast as possible to gain a centimetre; a vehicle
         with lags in its turns oscillates about such plans.
         """
-        end, goals = found.end, self._goals(query, found.end)
-        if found.plan is None or len(goals) < 2:  # too late to change much
-            return found
-        passed = np.diff(found.plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
+        end, goals = catch.end, self._goals(query, catch.end)
+        if catch.plan is None or len(goals) < 2:  # too late to change much
+            return catch
+        passed = np.diff(catch.plan.positions[-2:], axis=0)[0] - np.diff(goals[-2:], axis=0)[0]
         ahead = passed / max(float(np.linalg.norm(passed)), TINY)
-        off = self._off(query, end, found.plan, goals)
+        off = self._off(query, end, catch.plan, goals)
         short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
         before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
         through = self._attempted(query, end, before, narrow=self._coned)
         if through.plan and self._is_well(through):
             miss = float(np.linalg.norm(self._off(query, end, through.plan, goals)))
             if miss <= self._radius:
-                return found._replace(found=through.found, miss=miss)
-        return found
+                return catch._replace(solution=through.solution, miss=miss)
+        return catch
 
     def _off(self, query: InterceptQuery, end: float, plan: Plan, goals: Array) -> Array:
         """Return the final position error of a vehicle that flies a plan, shape (n,) [m]."""
@@ -381,8 +381,8 @@ class Interception:
         goals = self._goals(query, end)
         if missed(self.problem(end), query.task.state, goals, self._near)[-1]:
             return MISSED
-        found = self._attempted(query, end, goals, narrow=self._coned)
-        return MISSED if found.plan and _turns_too_far(found.plan, end) else found
+        attempt = self._attempted(query, end, goals, narrow=self._coned)
+        return MISSED if attempt.plan and _turns_too_far(attempt.plan, end) else attempt
 
     def _may(self, query: InterceptQuery, end: float) -> bool:
         """Return True if catches at an end, in units of steps, may be tried."""
@@ -412,8 +412,8 @@ class Interception:
             return within
         wider = self._attempted(query, end, goals)
         wider = wider._replace(miss=max(wider.miss, self._radius))
-        found = min(within, wider, key=_miss)
-        return found._replace(never=wider.never, checked=wider.checked)
+        nearer = min(within, wider, key=_miss)
+        return nearer._replace(never=wider.never, checked=wider.checked)
 
     def _attempted(
         self, query: InterceptQuery, end: float, goals: Array, *, narrow: bool = False
@@ -423,32 +423,32 @@ class Interception:
         A plan is solved again for a goal shifted by its defect (iterated defect correction), while
         the next one may end near the goal if its defect is as here.
         """
-        found, aims, problem = MISSED, goals, self.problem(end, narrow)
+        best, aims, problem = MISSED, goals, self.problem(end, narrow)
         posed = replace(query.task, problem=problem, solver_for=lambda _: self.solver(end, narrow))
         for _ in range(TRIES):
             if query.late():
-                return found
+                return best
             task = replace(posed, goals=aims)
             answer = task.solved()
             query.tried += 1
             plan, status, _ = answer
             if plan is None:
-                return NEVER if status is Status.INFEASIBLE and aims is goals else found
+                return NEVER if status is Status.INFEASIBLE and aims is goals else best
             place = plan.positions[-1]
             astray = defect(problem, query.task.state, plan, self._lag)
             miss = float(np.linalg.norm(place + astray - goals[-1]))
             if aims is goals:  # only this proof concerns the goal itself
                 never = plan.proof.lower_bound > self._costliest
-                found = _Attempt((task, answer), end, miss, never, plan.proof.checked)
-            elif miss < found.miss:
-                found = found._replace(found=(task, answer), miss=miss)
+                best = _Attempt((task, answer), end, miss, never, plan.proof.checked)
+            elif miss < best.miss:
+                best = best._replace(solution=(task, answer), miss=miss)
             aim = goals[-1] - astray
             away, change = (float(np.linalg.norm(each - aims[-1])) for each in (place, aim))
             worth = WORTH * self._radius < change >= away - self._near
-            if self._is_well(found) or not worth:
+            if self._is_well(best) or not worth:
                 break
             aims = np.concatenate([goals[:-1], aim[None]])
-        return found
+        return best
 
 
 def _coarsely(end: float) -> float:
@@ -474,6 +474,6 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
     before, after = plan.projected[:-1], plan.projected[1:]
     ahead = mean_axes(before.transpose(0, 2, 1) @ after)
     flown = covered(plan.speed_fraction.tolist(), problem.step, lag)
-    way = problem.forward * np.einsum('k,kij,kj->i', flown, before, ahead)
+    travelled = problem.forward * np.einsum('k,kij,kj->i', flown, before, ahead)
     blown = problem.horizon * problem.step * state.disturbance
-    return np.asarray(state.position + blown + way - plan.positions[-1])
+    return np.asarray(state.position + blown + travelled - plan.positions[-1])

@@ -330,12 +330,12 @@ class Planner:
                 not compensated.
             late: whether the deadline of searches has passed; they then return their best plan.
         """
-        known = snapshot.odometry
-        unsafe = self.unsafe(None if known is None else snapshot.odometry_age, snapshot.stop)
-        if unsafe is not None or known is None:
+        measured = snapshot.odometry
+        unsafe = self.unsafe(None if measured is None else snapshot.odometry_age, snapshot.stop)
+        if unsafe is not None or measured is None:
             self._change_speed(1.0)
-            return self._safe(known, Status.FAILED, unsafe or WAITING)
-        start = self._compensator.start(known, snapshot.latency, now, snapshot.wind)
+            return self._safe(measured, Status.FAILED, unsafe or WAITING)
+        start = self._compensator.start(measured, snapshot.latency, now, snapshot.wind)
         hazards, left_out = self._hazards(snapshot, start.odometry)
         passed, lost = self._passed(start.odometry.time), ''
         if snapshot.goal is None:
@@ -361,7 +361,7 @@ class Planner:
         memory.decision = decision
         if any(start.odd):
             decision = replace(decision, reason=joined(decision.reason, *start.odd))
-        return replace(decision, **start.told, left_out=left_out)
+        return replace(decision, **start.compensated, left_out=left_out)
 
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
@@ -370,18 +370,18 @@ class Planner:
         if snapshot.traffic is None:
             return (*snapshot.hazards, *self._still), 0
         horizons = float(FARTHEST if self._interception is not None else 1)
-        found = *snapshot.traffic.hazards(odometry.time), *self._still
-        return nearest(self.problem, odometry, self._compensator.disturbance, found, horizons)
+        hazards = *snapshot.traffic.hazards(odometry.time), *self._still
+        return nearest(self.problem, odometry, self._compensator.disturbance, hazards, horizons)
 
     def _change_speed(self, steps: float) -> None:
         """Update the speed reached towards the last command, a number of steps later."""
         memory, last = self._memory, self._compensator.history.last
         if not self.problem.max_acceleration or last is None:
             return
-        asked = last.speed_fraction
-        before = asked if memory.reached is None else memory.reached
-        before = max(before, min(asked, self.problem.least_speed))
-        memory.reached = moved_towards(self.problem, before, asked, steps)
+        commanded = last.speed_fraction
+        before = commanded if memory.reached is None else memory.reached
+        before = max(before, min(commanded, self.problem.least_speed))
+        memory.reached = moved_towards(self.problem, before, commanded, steps)
 
     def _task(self, state: State, late: Late | None) -> Task | None:
         """Return the task, still without goals; None without any steps."""
@@ -394,29 +394,29 @@ class Planner:
             problem = self._solver_for(replace(problem, horizon=count, step=step)).problem
         before, since = memory.decision, memory.passed * self.problem.step
         pace = before.problem.step if before and before.problem else self.problem.step
-        known, plan = (problem, state, np.zeros((0, 0))), before.plan if before else None
-        return Task(*known, self._solver_for, plan, pace, since, self._projection, late)
+        case, plan = (problem, state, np.zeros((0, 0))), before.plan if before else None
+        return Task(*case, self._solver_for, plan, pace, since, self._projection, late)
 
-    def _planned(self, given: Array | GoalMotion | None, start: PlanStart, task: Task) -> Decision:
+    def _planned(self, goal: Array | GoalMotion | None, start: PlanStart, task: Task) -> Decision:
         """Return the decision for a known goal."""
         memory, state, odometry = self._memory, task.state, start.odometry
-        assert given is not None
+        assert goal is not None
         ends = odometry.time + task.problem.step * self._counted[: task.problem.horizon]
-        motion, held, catch = None if isinstance(given, np.ndarray) else given, '', None
+        motion, held, catch = None if isinstance(goal, np.ndarray) else goal, '', None
         if isinstance(motion, Route):
             places, held = self._paced(motion, odometry, ends)
         else:
-            places = np.array(given if motion is None else motion.at(ends), dtype=float)
+            places = np.array(goal if motion is None else motion.at(ends), dtype=float)
         places.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, places)
         task = replace(task, goals=goals)
         if not held and (state.hazards or self.problem.obstacles):
             held = held_goal(task.problem, state, goals)
         if self._interception is not None and not shortened and not isinstance(motion, Route):
-            task, (plan, status, words), catch = self._caught(task, self._interception, motion)
+            task, (plan, status, message), catch = self._caught(task, self._interception, motion)
         else:
-            task, (plan, status, words) = self._tracked(task)
-        reason = Reason(Cause.NONE, joined(words, held, shortened))
+            task, (plan, status, message) = self._tracked(task)
+        reason = Reason(Cause.NONE, joined(message, held, shortened))
         if plan is None:
             nothing = Case(*task.known) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
@@ -455,7 +455,7 @@ class Planner:
         The cheaper clear plan replaces it, of the given and the previous one: first of those that
         keep the reserve of the ``wary`` task.
         """
-        plan, status, words = answer
+        plan, status, message = answer
         if plan is None or is_clear(wary, plan):
             return answer
         rest = [] if task.rest is None else [task.rest]
@@ -463,10 +463,10 @@ class Planner:
         instead = instead or clear_instead(wary, plan)
         if instead is plan:
             more = '' if is_clear(task, plan) else 'it turns into a hazard, as all plans found do'
-            return plan, status, joined(words, more)
+            return plan, status, joined(message, more)
         instead = replace(instead, proof=plan.proof)
         less = 'a plan that turns in time is followed instead of a cheaper one'
-        return instead, instead.status, joined(words, less)
+        return instead, instead.status, joined(message, less)
 
     def _caught(
         self, task: Task, interception: Interception, motion: GoalMotion | None
@@ -486,25 +486,25 @@ class Planner:
         if task.state.hazards:
             alone, most = replace(task, state=replace(task.state, hazards=())), CATCHES_AMONG
         query = InterceptQuery(alone, motion, now, memory.passed or math.inf, expected, most)
-        found, catch = interception.earliest(query)
-        words = ''
-        if found is None and self._approach.exists:
-            words = f'approach: no catch in the cone found; none before {catch.bound:.4g} s'
-        if found is not None:
-            chosen, answer = replace(found[0], state=task.state), found[1]
+        caught, catch = interception.earliest(query)
+        message = ''
+        if caught is None and self._approach.exists:
+            message = f'approach: no catch in the cone found; none before {catch.bound:.4g} s'
+        if caught is not None:
+            chosen, answer = replace(caught[0], state=task.state), caught[1]
             if not task.state.hazards or cheapest_clear(chosen, filter(None, answer[:1])):
                 memory.catch = now + chosen.problem.step * chosen.problem.horizon
                 return chosen, answer, catch
-            words = f'the catch at {catch.time:.4g} s leads through traffic'
+            message = f'the catch at {catch.time:.4g} s leads through traffic'
             catch = replace(catch, time=math.nan)
         task, (plan, status, why) = self._tracked(task)
-        return task, (plan, status, joined(why, words)), catch
+        return task, (plan, status, joined(why, message)), catch
 
     # --- without a new plan
 
-    def _hold(self, state: State, task: Task | None, words: str) -> Decision:
+    def _hold(self, state: State, task: Task | None, message: str) -> Decision:
         """Continue without a goal: on the previous plan while allowed, then by the safe command."""
-        before, reason = self._memory.decision, Reason(Cause.GOAL, words)
+        before, reason = self._memory.decision, Reason(Cause.GOAL, message)
         unknown = self._wants_attitude and state.wanted is None
         if before is None or before.goals is None or task is None or unknown:
             return self._safe(state, Status.FAILED, reason)
@@ -576,8 +576,8 @@ class Planner:
             return self._safe(task.state, Status.FAILED, reason)
         if problem.max_acceleration:
             memory.reached = entry
-        known = task.problem, task.goals, reason.cause
-        return Decision(status, reason.words, task.state, plan, sent, fallback, *known)
+        context = task.problem, task.goals, reason.cause
+        return Decision(status, reason.words, task.state, plan, sent, fallback, *context)
 
     def _safe(self, measured: Odometry | State | None, status: Status, reason: Reason) -> Decision:
         """Return the decision for the safe command, which is made only here.

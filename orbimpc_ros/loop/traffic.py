@@ -64,7 +64,7 @@ class ObstacleTracker(dict[str, deque[ObservedBody]]):
         """
         if seen.name not in self and len(self) >= MOST:
             raise BadInput('count', seen.name, f'at most {MOST} bodies')
-        track, words = self.setdefault(seen.name, deque(maxlen=LATEST)), ''
+        track, message = self.setdefault(seen.name, deque(maxlen=LATEST)), ''
         if track:
             last = track[-1]
             if seen.time < last.time:
@@ -73,13 +73,13 @@ class ObstacleTracker(dict[str, deque[ObservedBody]]):
                 if seen.body != last.body:
                     raise BadInput('duplicate id', seen.name, 'one position per stamp')
                 return ''
-            way = float(np.linalg.norm(seen.body.centre - last.body.centre))
-            speed = way / (seen.time - last.time)
+            distance = float(np.linalg.norm(seen.body.centre - last.body.centre))
+            speed = distance / (seen.time - last.time)
             if speed > fastest:
                 track.clear()
-                words = f'{seen.name!r} jumped at {speed:.3g} m/s: taken for a new body at rest'
+                message = f'{seen.name!r} jumped at {speed:.3g} m/s: taken for a new body at rest'
         track.append(seen)
-        return words
+        return message
 
     def current(self, at: float) -> tuple[Track, ...]:
         """Return the tracks of all bodies at a time [s]; drop those whose lifetime is over."""
@@ -114,14 +114,14 @@ class AgentTrajectory(Sealed):
         course = MovingObstacle.drifting(first)
         if len(self.times) > 1:
             course = MovingObstacle(first, self.times - begun, self.positions - self.positions[0])
-        found = [course.after(at - float(begun))]
+        hazards = [course.after(at - float(begun))]
         if age > distance.timeout:  # a ball around all points where it may have stopped
             times = self.times[(self.times > self.time) & (self.times < at)]
-            way = first.centre + course.moved(np.array([self.time, *times, at]) - begun)
-            middle = 0.5 * (way.min(axis=0) + way.max(axis=0))
-            reach = distance.radius + float(np.linalg.norm(way - middle, axis=1).max())
-            found.append(MovingObstacle.drifting(Ball(middle, reach)))
-        return found
+            path = first.centre + course.moved(np.array([self.time, *times, at]) - begun)
+            middle = 0.5 * (path.min(axis=0) + path.max(axis=0))
+            reach = distance.radius + float(np.linalg.norm(path - middle, axis=1).max())
+            hazards.append(MovingObstacle.drifting(Ball(middle, reach)))
+        return hazards
 
 
 @dataclass(frozen=True)
@@ -202,12 +202,12 @@ def reserving(task: Task, reserve: float) -> Iterator[Task]:
 
     That is, for each hazard, the largest of the ``SHARES`` kept by the rest of the previous plan.
     """
-    kept, asked = list(task.state.hazards), []
+    kept, reserved = list(task.state.hazards), []
     for share in SHARES:
         around = (replace(each, reserve=share * reserve) for each in kept)
-        asked.append(replace(task.state, hazards=tuple(around)))
-    yield replace(task, state=asked[-1])
-    for state in asked:
+        reserved.append(replace(task.state, hazards=tuple(around)))
+    yield replace(task, state=reserved[-1])
+    for state in reserved:
         apart = {} if task.rest is None else clearances(task.problem, state, task.rest)
         for j, each in enumerate(state.hazards):
             kept[j] = each if apart.get(f'hazard {j}', -1.0) >= 0.0 else kept[j]

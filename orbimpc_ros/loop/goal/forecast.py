@@ -139,9 +139,9 @@ def best_swing(past: Past, middle: int) -> tuple[float, float]:
     explained = np.sum(moments * np.linalg.solve(gram, moments), axis=(1, 2))
     span = math.sqrt(3.0 * float(np.mean(times * times)))  # for times spread evenly from 0
     explained[GRID * span > 2.0 * math.pi * NYQUIST * len(times)] = -np.inf
-    found = int(np.argmax(explained))
-    misfit = float(np.sum(seen * seen) - explained[found])
-    return float(GRID[found]), misfit * len(past[0]) / len(times)
+    best = int(np.argmax(explained))
+    misfit = float(np.sum(seen * seen) - explained[best])
+    return float(GRID[best]), misfit * len(past[0]) / len(times)
 
 
 MEMORY, KEPT = 768, 512  # sightings; those kept when the memory is full
@@ -269,16 +269,16 @@ class Fits:
         shape, rates = slice(2 * self._n, 4 * self._n), self._rates[:, None]
         sizes = 1.0 / SIZE**2 + (rates * rates / PUSH) ** 2
         sizes[TURN] = (rates[TURN] / SPEED) ** 2
-        found = self._precision.copy()
-        found[:, shape] = np.where(rates > 0.0, sizes, found[:, shape])
-        return np.where(self._used, self._prior.variance * found, 1.0)
+        precisions = self._precision.copy()
+        precisions[:, shape] = np.where(rates > 0.0, sizes, precisions[:, shape])
+        return np.where(self._used, self._prior.variance * precisions, 1.0)
 
     def solve(self) -> None:
         """Fit every family to all sightings so far."""
         times, seen = self.past
         n, (size, rows), (share, scale) = self._n, self._used.shape, self._prior
-        known = self._precisions()
-        free, pull = known.copy(), np.zeros((size, rows))
+        priors = self._precisions()
+        free, pull = priors.copy(), np.zeros((size, rows))
         free[:, :n] = TINY * self._prior.variance  # the place is unconstrained
         pull[:, n : 2 * n] = self._coefficients[:, LINEAR]
         pull[:, 2 * n : 4 * n] = self._coefficients[:, COSINE : SINE + 1].reshape(size, -1)
@@ -299,13 +299,13 @@ class Fits:
         misfit = np.sum(off * off, axis=(1, 2)) + np.sum(free * pull * pull, axis=1) - explained
         self._misfit = np.maximum(misfit, 0.0)
         self._noises = (scale + 0.5 * self._misfit) / (share + 0.5 * self.count * n)
-        spread = np.log(known).sum(axis=1) - 2.0 * np.log(np.diagonal(factor, 0, 1, 2)).sum(axis=1)
+        spread = np.log(priors).sum(axis=1) - 2.0 * np.log(np.diagonal(factor, 0, 1, 2)).sum(axis=1)
         data = data_evidence(self._misfit, self.count * n, share, scale)
         evidence = np.where(self._weighed, ODDS + 0.5 * spread + data, -np.inf)
         if self.count < BENT_FROM:
             evidence[ACCELERATION] = -np.inf
-        whole = float(np.logaddexp.reduce(evidence))
-        self.evidence[self.count], self.shares = whole, np.exp(evidence - whole)
+        total = float(np.logaddexp.reduce(evidence))
+        self.evidence[self.count], self.shares = total, np.exp(evidence - total)
         self.noise[self.count] = self._noise()
         self._gain = np.where(self._rates > 0.0, explained / self._noises, 0.0)
 
@@ -333,14 +333,14 @@ class Fits:
     def shortened(self) -> Fits:
         """Return the fits without the oldest sightings, but with the present estimates."""
         times, seen = (each[-KEPT:] for each in self.past)
-        ways, since = self.rows(times) @ self._fitted - seen[0], times - times[0]
+        paths, since = self.rows(times) @ self._fitted - seen[0], times - times[0]
         kept = Fits(self.epoch + times[0], self.origin + seen[0], self._prior)
         kept.add(self.epoch + times, self.origin + seen)
         for family in np.flatnonzero(self._rates).tolist():
             rate, damping = self._rates[family], self._dampings[family]
             x, coefficients = columns(since, rate, damping), np.zeros_like(self._fitted[family])
-            found = np.linalg.lstsq(x[:, BENDING], ways[family], rcond=None)[0]
-            coefficients[BENDING] = found
+            fitted = np.linalg.lstsq(x[:, BENDING], paths[family], rcond=None)[0]
+            coefficients[BENDING] = fitted
             kept.place(family, rate, coefficients, damping, bool(self._weighed[family]))
         kept.solve()
         return kept
@@ -426,9 +426,9 @@ def evidence_anew(past: Past, lengths: np.ndarray, noises: Array) -> Array:
     explained = np.cumsum(np.sum(white * white, axis=2), axis=1)
     spread = np.log(prior) - 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2))
     misfit = np.maximum(square[:, None] - explained, 0.0)
-    found = data_evidence(misfit, float(n) * lengths[:, None], share, scale)
-    found += 0.5 * n * np.cumsum(spread, axis=1) + ODDS_ANEW
-    return np.asarray(np.logaddexp.reduce(found, axis=1))
+    evidence = data_evidence(misfit, float(n) * lengths[:, None], share, scale)
+    evidence += 0.5 * n * np.cumsum(spread, axis=1) + ODDS_ANEW
+    return np.asarray(np.logaddexp.reduce(evidence, axis=1))
 
 
 # Sightings of a new motion.
@@ -541,8 +541,8 @@ class Bank:
         while len(lately) > 2 and time - lately[1].time >= SPEED_OVER:
             lately.pop(0)
         if time > lately[0].time:
-            way = math.dist(sighting.position, lately[0].position)
-            self._fastest = max(self._fastest, way / (time - lately[0].time))
+            distance = math.dist(sighting.position, lately[0].position)
+            self._fastest = max(self._fastest, distance / (time - lately[0].time))
         self._fits.add(np.array([time]), sighting.position[None])
 
     def _changed(self) -> int:
@@ -611,18 +611,18 @@ class Harmonic(Velocity):
         Predictions are averaged by evidence over log(frequency).
         """
         stamps, places = self._past()
-        last, known = places[-1], (stamps - stamps[-1], places - places[-1], times - stamps[-1])
+        last, data = places[-1], (stamps - stamps[-1], places - places[-1], times - stamps[-1])
         gaps = np.diff(stamps)
         spacing = float(np.median(gaps[gaps > 0.0])) if np.any(gaps > 0.0) else 1.0
         highest = min(HIGHEST, max(NYQUIST / spacing, 2 * LOWEST))
-        found = _fit(np.geomspace(LOWEST, highest, COARSE), *known)
+        rows = _fit(np.geomspace(LOWEST, highest, COARSE), *data)
         for _ in range(ZOOMS):
-            best = int(np.argmax(found[:, 1]))
-            low, high = found[max(best - 1, 0), 0], found[min(best + 1, len(found) - 1), 0]
-            finer = _fit(np.geomspace(low, high, FINE + 2)[1:-1], *known)
-            found = np.concatenate([found, finer])
-            found = found[np.argsort(found[:, 0])]
-        grid, evidence, predicted = found[:, 0], found[:, 1], found[:, 2:]
+            best = int(np.argmax(rows[:, 1]))
+            low, high = rows[max(best - 1, 0), 0], rows[min(best + 1, len(rows) - 1), 0]
+            finer = _fit(np.geomspace(low, high, FINE + 2)[1:-1], *data)
+            rows = np.concatenate([rows, finer])
+            rows = rows[np.argsort(rows[:, 0])]
+        grid, evidence, predicted = rows[:, 0], rows[:, 1], rows[:, 2:]
         weights = np.exp(evidence - evidence.max()) * np.gradient(np.log(grid))
         return np.asarray(last + (weights / weights.sum() @ predicted).reshape(len(times), -1))
 

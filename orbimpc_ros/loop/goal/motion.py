@@ -131,15 +131,15 @@ class Route:
         away = position - self.positions[:-1]
         lengths = np.diff(self._ends)
         share = np.clip(np.sum(away * self._lines, axis=1) / lengths**2, 0.0, 1.0)
-        found = self._ends[:-1] + share * lengths
+        along = self._ends[:-1] + share * lengths
         squared = np.sum((away - share[:, None] * self._lines) ** 2, axis=1)
         if near is not None:
-            apart = np.abs(found - near)
+            apart = np.abs(along - near)
             if self.closed:
                 apart = np.minimum(apart % self.length, -apart % self.length)
             if (apart <= within).any():
                 squared = np.where(apart <= within, squared, np.inf)
-        return float(found[np.argmin(squared)])
+        return float(along[np.argmin(squared)])
 
     def at(self, times: Array) -> Array:
         """Return the end of the path for all times, shape (N, n) [m], as the final goal."""
@@ -150,15 +150,15 @@ class Route:
 
         It is at ``begin`` at the first of them. The wind has shape (n,) [m/s].
         """
-        found = [begin]
+        distances = [begin]
         for now, end in pairwise(times.tolist()):
-            along, count = found[-1], max(1, math.ceil((end - now) / FINE))
+            along, count = distances[-1], max(1, math.ceil((end - now) / FINE))
             part = (end - now) / count
             for _ in range(count):
                 middle = along + 0.5 * part * self._speed(along, airspeed, wind)
                 along += part * self._speed(middle, airspeed, wind)
-            found.append(along)
-        return np.array(found)
+            distances.append(along)
+        return np.array(distances)
 
     def _speed(self, along: float, airspeed: float, wind: Array) -> float:
         """Return the speed over ground [m/s]; 0 if progress along the path is impossible."""
@@ -176,12 +176,12 @@ class Route:
         speeds = [self._speed(each, airspeed, wind) for each in along]
         if not all(speeds):
             where, strong = along[speeds.index(0.0)] - along[0], np.linalg.norm(wind)
-            known = f'in a wind of {strong:.3g} m/s at {airspeed:.3g} m/s of airspeed'
-            return f'the path cannot be followed {known}, from {where:.3g} m ahead on'
+            conditions = f'in a wind of {strong:.3g} m/s at {airspeed:.3g} m/s of airspeed'
+            return f'the path cannot be followed {conditions}, from {where:.3g} m ahead on'
         if not max_rate or len(wind) != 2:
             return ''
-        ways = np.array([self.direction(each) for each in along])
-        through = np.array(speeds)[:, None] * ways - wind
+        directions = np.array([self.direction(each) for each in along])
+        through = np.array(speeds)[:, None] * directions - wind
         turns = np.abs(np.diff(np.unwrap(np.arctan2(*through.T[::-1])))) / np.diff(times)
         if turns.max() <= SHARP * max_rate:
             return ''
