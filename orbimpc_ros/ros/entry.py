@@ -73,7 +73,7 @@ def report_compilation(report: Callable[[str], None]) -> None:
     """Report progress, by a line every few seconds, whenever machine code has to be compiled."""
     from orbimpc_ros.mpc.kernels import LISTENERS  # readers of COMPILING alone need no compiler
 
-    def told() -> Iterator[None]:
+    def progress() -> Iterator[None]:
         begun, due = time.monotonic(), 0.0
         for count in itertools.count(1):
             taken = time.monotonic() - begun
@@ -82,7 +82,7 @@ def report_compilation(report: Callable[[str], None]) -> None:
                 report(f'{COMPILING}: function {count}, {taken:.0f} s')
             yield
 
-    LISTENERS[:] = [told().__next__]
+    LISTENERS[:] = [progress().__next__]
 
 
 def without_compiler() -> str:

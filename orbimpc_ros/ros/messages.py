@@ -146,9 +146,9 @@ def read_odometry(
     at = _stamp(message.header, frames.world)
     in_body, child = frames.velocity == 'body', frames.body
     if in_body:  # in a fleet it has a prefix: uav1/base_link
-        found = message.child_frame_id
-        wanted = found if found.endswith(f'/{child}') else child
-        child = _frame(found, wanted, 'child_frame_id')
+        name = message.child_frame_id
+        wanted = name if name.endswith(f'/{child}') else child
+        child = _frame(name, wanted, 'child_frame_id')
     pose, twist = message.pose.pose, message.twist.twist
     place = _triple(pose.position, 'pose.position')[:dimension]
     velocity = _triple(twist.linear, 'twist.linear')
@@ -199,9 +199,9 @@ def read_wind(
     """Return stamp and wind of a message; its variance is unknown unless positive."""
     at = _stamp(message.header, '')
     velocity = _triple(message.twist.twist.linear, 'twist.linear')[:dimension]
-    variance = 0.5 * float(message.twist.covariance[0] + message.twist.covariance[7])
-    known = variance if 0.0 < variance <= LARGEST else math.nan
-    return at, WindReport(at.nanoseconds / SECOND, velocity, known)
+    mean = 0.5 * float(message.twist.covariance[0] + message.twist.covariance[7])
+    variance = mean if 0.0 < mean <= LARGEST else math.nan
+    return at, WindReport(at.nanoseconds / SECOND, velocity, variance)
 
 
 def read_agent(
@@ -258,12 +258,12 @@ def _stamp(header: Header, frame: str) -> Stamp:
     return Stamp(nanoseconds(header.stamp, 'header.stamp'), Frames(world))
 
 
-def _frame(found: str, wanted: str, culprit: str) -> str:
-    if wanted and found != wanted:
-        raise BadInput(culprit, repr(found), repr(wanted))
-    if len(found) > LONGEST_FRAME:
-        raise BadInput(culprit, repr(found), f'at most {LONGEST_FRAME} characters')
-    return found
+def _frame(name: str, wanted: str, culprit: str) -> str:
+    if wanted and name != wanted:
+        raise BadInput(culprit, repr(name), repr(wanted))
+    if len(name) > LONGEST_FRAME:
+        raise BadInput(culprit, repr(name), f'at most {LONGEST_FRAME} characters')
+    return name
 
 
 def _triple(vector: Vector3 | Point, culprit: str) -> Array:
@@ -398,15 +398,15 @@ def command_messages(
     whether the vehicle's attitude is known, so that one can be commanded.
     """
     frames, inertial = stamp.frames, settings.problem.inertial
-    given = settings.problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
+    commanded = settings.problem.forward * command.speed_fraction  # [m/s] or [m/s^2]
     if inertial:
-        yield 'cmd_thrust', wrench_message(stamp, settings.mass * given)
-    yield 'cmd_vel', twist_message(stamp, 0.0 if inertial else given, command.body_rate)
+        yield 'cmd_thrust', wrench_message(stamp, settings.mass * commanded)
+    yield 'cmd_vel', twist_message(stamp, 0.0 if inertial else commanded, command.body_rate)
     if oriented:  # in the world frame, at the end of the next step
         head, turned = header(stamp.nanoseconds, frames.world), frames.own(command.rotation)
         yield 'rotation', QuaternionStamped(header=head, quaternion=quaternion(turned))
     if settings.hover_thrust:
-        share = pushing(settings.hover_thrust * given / settings.gravity, frames)
+        share = pushing(settings.hover_thrust * commanded / settings.gravity, frames)
         yield 'thrust', Vector3Stamped(header=header(stamp.nanoseconds, frames.body), vector=share)
 
 
@@ -548,12 +548,12 @@ def plan_markers(
     """
     unit = problem.forward * problem.step
     # A shorter plan has fewer arrows: earlier markers are removed.
-    found = [Marker(header=header(stamp.nanoseconds, stamp.frames.world), action=Marker.DELETEALL)]
+    drawn = [Marker(header=header(stamp.nanoseconds, stamp.frames.world), action=Marker.DELETEALL)]
 
     def add(name: str, kind: int, color: tuple[float, ...], number: int = 0) -> Marker:
-        found.append(marker(stamp, name, number, kind, color, problem.step))
-        found[-1].scale.x = LINE * unit
-        return found[-1]
+        drawn.append(marker(stamp, name, number, kind, color, problem.step))
+        drawn[-1].scale.x = LINE * unit
+        return drawn[-1]
 
     add('plan', Marker.LINE_STRIP, GREEN).points = [point(each) for each in plan.positions]
     for k, fraction in enumerate(plan.speed_fraction):
@@ -566,14 +566,14 @@ def plan_markers(
     times = problem.step * np.arange(problem.horizon + 1)
     for k, hazard in enumerate(hazards):
         shown(add('hazards', Marker.CUBE, RED, k), hazard.body)
-        way = hazard.body.centre + hazard.moved(times)
-        add('ways', Marker.LINE_STRIP, RED, k).points = [point(each) for each in way]
+        path = hazard.body.centre + hazard.moved(times)
+        add('ways', Marker.LINE_STRIP, RED, k).points = [point(each) for each in path]
     if lines := problem.floor.outline(problem.dimension):
         floor = add('floor', Marker.LINE_LIST, GREY)
         floor.pose.position = point(plan.positions[0])
         pieces = [line[k : k + 2] for line in lines for k in range(len(line) - 1)]
         floor.points = [point(unit * end) for piece in pieces for end in piece]
-    return MarkerArray(markers=found)
+    return MarkerArray(markers=drawn)
 
 
 def marker(

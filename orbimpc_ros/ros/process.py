@@ -149,15 +149,15 @@ class Managed(LifecycleNodeMixin, Node):
     steady_now = staticmethod(time.monotonic)  # time of the steady clock [s]
 
     def guard(
-        self, callback: Callable[..., Any], *known: str, at_work: bool = False
+        self, callback: Callable[..., Any], *bound: str, at_work: bool = False
     ) -> Callable[..., Any]:
         """Return the callback, wrapped to report exceptions instead of raising them.
 
-        ``known`` are its first arguments, such as the topic. ``at_work``, it does nothing while the
+        ``bound`` are its first arguments, such as the topic. ``at_work``, it does nothing while the
         node is not active.
         """
-        name = ' '.join((callback.__name__.lstrip('_'), *known))
-        called = functools.partial(callback, *known)
+        name = ' '.join((callback.__name__.lstrip('_'), *bound))
+        called = functools.partial(callback, *bound)
 
         @functools.wraps(called)  # rclpy inspects the number of arguments
         def guarded(*arguments: Any) -> Any:
@@ -277,9 +277,9 @@ class Managed(LifecycleNodeMixin, Node):
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> Any:
         """Perform the requested transition if possible now; else rclpy would stop spinning."""
-        asked, state = request.transition, self._state_machine.current_state[1]
-        possible = {found[0]: found[1] for found in self._state_machine.available_transitions}
-        wanted = asked.label or possible.get(asked.id, f'transition {asked.id}')
+        transition, state = request.transition, self._state_machine.current_state[1]
+        possible = {each[0]: each[1] for each in self._state_machine.available_transitions}
+        wanted = transition.label or possible.get(transition.id, f'transition {transition.id}')
         if wanted not in possible.values():
             allowed = ', '.join(f'{label} ({number})' for number, label in possible.items())
             self.get_logger().warning(f'{wanted} is not possible while {state}; allowed: {allowed}')
@@ -369,9 +369,9 @@ LAST_RESORT = 30.0  # [s] after which a process that hangs on exit is ended
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 SECURITY = 'ROS_SECURITY_ENABLE'
 INDENT = ' ' * 6  # of descriptions of parameters in --help
-KNOWN_WORDS = 'arguments of ROS: --params-file FILE, -p NAME:=VALUE, -r FROM:=TO, -r __ns:=/NS'
+ARGUMENTS = 'arguments of ROS: --params-file FILE, -p NAME:=VALUE, -r FROM:=TO, -r __ns:=/NS'
 USAGE = f"""\
-{KNOWN_WORDS}
+{ARGUMENTS}
 exit codes: 0 done or ended by a signal, 1 failed, 2 bad input
 
 parameters (name, default, meaning):"""
@@ -445,11 +445,11 @@ def run(node_type: type[Managed]) -> int:
                 stack.enter_context(get_default_context())  # unlike rclpy.init, without signals
             except rclpy_implementation.UnknownROSArgsError as error:
                 unknown = f'unknown argument {" ".join(ast.literal_eval(str(error)))}'
-                raise BadInput.stating('command line', unknown, f'allowed: {KNOWN_WORDS}') from None
+                raise BadInput.stating('command line', unknown, f'allowed: {ARGUMENTS}') from None
             except RuntimeError as error:  # malformed rule, parameter file or domain
-                hint = f'; allowed: {KNOWN_WORDS}' if 'rule' in str(error) else ''
+                hint = f'; allowed: {ARGUMENTS}' if 'rule' in str(error) else ''
                 return _ended(f'{error}{hint}', BAD_INPUT)
-            _require_ros_words(node_type)
+            _require_ros_arguments(node_type)
             stack.enter_context(warnings.catch_warnings())
             warnings.simplefilter('ignore', RuntimeWarning)  # failures of rclpy's own cleanup
             node = node_type()
@@ -483,7 +483,7 @@ def _ended(error: object, code: int) -> int:
     return code
 
 
-def _require_ros_words(node_type: type[Managed]) -> None:
+def _require_ros_arguments(node_type: type[Managed]) -> None:
     """Reject arguments that would be ignored; print the usage and exit for --help."""
     lines = [USAGE]
     for each in sorted(node_type.specs, key=attrgetter('name')):
@@ -499,7 +499,7 @@ def _require_ros_words(node_type: type[Managed]) -> None:
     _, plain = parser.parse_known_args(remove_ros_args(args=sys.argv)[1:])
     if plain:
         problem = f'{shlex.join(plain)} must follow --ros-args'
-        raise BadInput.stating('command line', problem, f'allowed: --ros-args, then {KNOWN_WORDS}')
+        raise BadInput.stating('command line', problem, f'allowed: --ros-args, then {ARGUMENTS}')
 
 
 def _live(node: Managed) -> int:
@@ -513,8 +513,8 @@ def _live(node: Managed) -> int:
     for number in SIGNALS:
         signal.signal(number, take)
     for name, closed in ((RANGE, ('LOCALHOST', 'OFF')), (PEERS, (None, ''))):
-        if (given := os.environ.get(name)) not in closed:
-            node.get_logger().warning(f'{name}={given}: open to other machines')
+        if (value := os.environ.get(name)) not in closed:
+            node.get_logger().warning(f'{name}={value}: open to other machines')
     executor = executor_named(node.settings.executor)
     executor.add_node(node)
     spin = node.guard(executor.spin_once)  # callbacks of rclpy itself fail on a malformed /clock

@@ -58,15 +58,15 @@ class Edge:
             hint = 'give stamps within its history'
             raise BadInput.stating('extrapolated transform', problem, hint)
         around = self.samples[k - 1 : k + 1]
-        found, *later = (matrix(*messages.read_transform(each, name)) for _, each in around)
+        earlier, *later = (matrix(*messages.read_transform(each, name)) for _, each in around)
         since = stamp - around[0][0]
         if later:
-            return between(found, later[0], since / (around[1][0] - around[0][0]))
+            return between(earlier, later[0], since / (around[1][0] - around[0][0]))
         if since > patience * SECOND:
             problem = f'{name} is {since / SECOND:.3g} s older than the message'
             hint = f'at most transform_timeout, {patience:g} s'
             raise BadInput.stating('stale transform', problem, hint)
-        return found
+        return earlier
 
 
 def stated(lines: Iterable[str]) -> dict[str, Edge]:
@@ -75,22 +75,22 @@ def stated(lines: Iterable[str]) -> dict[str, Edge]:
     Raises:
         BadInput: a wrong number of words, an invalid number, or a child with two parents.
     """
-    found: dict[str, Edge] = {}
+    edges: dict[str, Edge] = {}
     for line in lines:
         try:
-            parent, child, *words = line.split()
-            numbers = np.array(words, dtype=float)
+            parent, child, *pose = line.split()
+            numbers = np.array(pose, dtype=float)
         except ValueError:  # too few words, or none of a number
             raise BadInput('transforms', line, FORM) from None
         if parent == child or numbers.shape != (6,) or not np.isfinite(numbers).all():
             raise BadInput('transforms', line, FORM)
-        if child in found:
+        if child in edges:
             raise BadInput('transforms', line, f'one parent of {child}')
         roll, pitch, yaw = (exp(turn) for turn in np.diag(numbers[3:]))
         turned = messages.quaternion(yaw @ pitch @ roll)
         transform = Transform(translation=messages.vector(numbers[:3]), rotation=turned)
-        found[child] = Edge(parent, child, True, [(0, transform)])
-    return found
+        edges[child] = Edge(parent, child, True, [(0, transform)])
+    return edges
 
 
 def matrix(rotation: Array, translation: Array) -> Array:
@@ -103,8 +103,8 @@ def matrix(rotation: Array, translation: Array) -> Array:
 def between(first: Array, then: Array, share: float) -> Array:
     """Return the transform interpolated between two, at a share of the way."""
     turn = log(first[:3, :3].T @ then[:3, :3])
-    way = then[:3, 3] - first[:3, 3]
-    return matrix(first[:3, :3] @ exp(share * turn), first[:3, 3] + share * way)
+    shift = then[:3, 3] - first[:3, 3]
+    return matrix(first[:3, :3] @ exp(share * turn), first[:3, 3] + share * shift)
 
 
 class Transforms:
@@ -134,17 +134,17 @@ class Transforms:
             length = len(parent + child)
             if not parent or not child or parent == child or length > messages.LONGEST_FRAME:
                 raise BadInput('frames', f'{parent!r} and {child!r}', 'two different short names')
-            known, fixed = self._edges.get(child), topic == TF_STATIC
-            if known is None and len(self._edges) >= MOST_FRAMES:
+            edge, fixed = self._edges.get(child), topic == TF_STATIC
+            if edge is None and len(self._edges) >= MOST_FRAMES:
                 raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
             stamp = messages.nanoseconds(each.header.stamp, 'header.stamp')
             if not fixed:  # else all later ones would be out of order
                 judge(stamp)
-            if known is None or fixed or known.fixed or known.parent != parent:
-                known = self._edges[child] = Edge(parent, child, fixed)
-            if not known.samples or stamp > known.samples[-1][0]:
-                known.samples.append((stamp, each.transform))
-                del known.samples[:-MOST_SAMPLES]
+            if edge is None or fixed or edge.fixed or edge.parent != parent:
+                edge = self._edges[child] = Edge(parent, child, fixed)
+            if not edge.samples or stamp > edge.samples[-1][0]:
+                edge.samples.append((stamp, each.transform))
+                del edge.samples[:-MOST_SAMPLES]
 
     def move(self, header: Header, at: int | None = None) -> Array | None:
         """Return the matrix from the frame of a header to the world; None if that is its frame.
@@ -154,17 +154,17 @@ class Transforms:
         Raises:
             BadInput: no transform leads there, or none at that time, or the stamp is not valid.
         """
-        world, found = self.settings.frames.world, header.frame_id
-        if not world or found in ('', world):
+        world, frame = self.settings.frames.world, header.frame_id
+        if not world or frame in ('', world):
             return None
         if not (self.settings.tf or self.settings.stated_transforms):
-            raise BadInput('header.frame_id', repr(found), f'{world!r}; for others, {ON}')
+            raise BadInput('header.frame_id', repr(frame), f'{world!r}; for others, {ON}')
         stamp = messages.nanoseconds(header.stamp, 'header.stamp') if at is None else at
-        up, down = self._ancestry(found), self._ancestry(world)
-        ends = (line[-1].parent if line else end for line, end in ((up, found), (down, world)))
+        up, down = self._ancestry(frame), self._ancestry(world)
+        ends = (line[-1].parent if line else end for line, end in ((up, frame), (down, world)))
         if len(set(ends)) > 1:
             hint = 'publish it on /tf, or give it in transforms' if self.settings.tf else ON
-            raise BadInput.stating('missing transform', f'none from {found} to {world}', hint)
+            raise BadInput.stating('missing transform', f'none from {frame} to {world}', hint)
         while up and down and up[-1] is down[-1]:  # above what they have in common
             del up[-1], down[-1]
         moves = [np.eye(4), np.eye(4)]
@@ -175,8 +175,8 @@ class Transforms:
 
     def _ancestry(self, frame: str) -> list[Edge]:
         """Return the transforms from a frame up to the root; a cycle is followed only once."""
-        found, known = list[Edge](), self._edges | self.settings.stated_transforms
-        while frame in known and known[frame] not in found:
-            found.append(known[frame])
-            frame = known[frame].parent
-        return found
+        ancestry, edges = list[Edge](), self._edges | self.settings.stated_transforms
+        while frame in edges and edges[frame] not in ancestry:
+            ancestry.append(edges[frame])
+            frame = edges[frame].parent
+        return ancestry

@@ -169,8 +169,8 @@ class PlannerSettings(VehicleParameters):
             'obstacles': self.boxes,
         }
         names = {each.name for each in fields(Problem)} & {each.name for each in fields(self)}
-        known: dict[str, Any] = {name: getattr(self, name) for name in names}
-        return weighed(Problem(**known | own), self.weights_scaling)
+        shared: dict[str, Any] = {name: getattr(self, name) for name in names}
+        return weighed(Problem(**shared | own), self.weights_scaling)
 
     @cached_property
     def period(self) -> float:
@@ -190,8 +190,8 @@ class PlannerSettings(VehicleParameters):
     @cached_property
     def goal_timeout(self) -> float:
         """Return the age at which a goal is stale, at least 1.5 periods [s]."""
-        given = self.given_goal_timeout
-        return max(given if given > 0.0 else 1.0, 1.5 * self.period)
+        timeout = self.given_goal_timeout
+        return max(timeout if timeout > 0.0 else 1.0, 1.5 * self.period)
 
     @cached_property
     def hand_sent_expire(self) -> bool:
@@ -217,8 +217,8 @@ class PlannerSettings(VehicleParameters):
     @cached_property
     def approach(self) -> Approach:
         """Return the cone of headings in which a catch counts; no cone without interception."""
-        known = self.approach_of_a_catch()
-        return known if self.objective == 'intercept' else Approach()
+        approach = self.approach_of_a_catch()
+        return approach if self.objective == 'intercept' else Approach()
 
     @cached_property
     def wants_attitude(self) -> bool:

@@ -198,18 +198,18 @@ def unused(given: Iterable[tuple[str, str]], full: str, kind: str) -> list[str]:
         kind: its name unless it is remapped.
     """
     name = full.rpartition('/')[2]
-    known = {name, '*', '**', 'planner', 'sim'} - ({kind} - {name})  # one file may serve both
+    names = {name, '*', '**', 'planner', 'sim'} - ({kind} - {name})  # one file may serve both
     used = {file for each, file in given if fnmatchcase(full, each.replace('/**', '*'))}
-    found = []
+    ignored = []
     for section, file in given:
         last = section.rpartition('/')[2]
-        if file not in used or last not in known or f'/{name}' == section != full:
-            found.append(f'section {section} in {file}')
+        if file not in used or last not in names or f'/{name}' == section != full:
+            ignored.append(f'section {section} in {file}')
     for flag, word in pairwise(sys.argv):
         owner, colon, _ = word.partition(':=')[0].rpartition(':')
         if flag in ('-p', '--param') and colon and f'/{owner}' != full:
-            found.append(f'-p {word}')
-    return found
+            ignored.append(f'-p {word}')
+    return ignored
 
 
 def given_sections() -> list[tuple[str, str]]:
@@ -218,7 +218,7 @@ def given_sections() -> list[tuple[str, str]]:
     Raises:
         BadInput: a file cannot be read, has none, or has values that rcl would misread.
     """
-    found = []
+    titles = []
     for flag, file in pairwise(dropwhile('--ros-args'.__ne__, sys.argv)):
         if flag == '--params-file':
             try:
@@ -227,10 +227,10 @@ def given_sections() -> list[tuple[str, str]]:
             except (OSError, yaml.YAMLError) as error:
                 why = ' '.join((getattr(error, 'strerror', None) or str(error)).split())
                 raise BadInput.stating(file, 'unreadable', why) from None
-            found += [(title, file) for title, _ in sections(tree or {}, file)]
+            titles += [(title, file) for title, _ in sections(tree or {}, file)]
             for at, problem, hint in _flaws(yaml.compose(text, yaml.SafeLoader)):
                 raise BadInput.stating(f'{file} line {at.start_mark.line + 1}', problem, hint)
-    return found
+    return titles
 
 
 def _flaws(node: Any, name: str = '') -> Iterator[tuple[Any, str, str]]:
@@ -251,16 +251,16 @@ def _flaws(node: Any, name: str = '') -> Iterator[tuple[Any, str, str]]:
 
 def sections(tree: Any, file: str, above: str = '') -> list[tuple[str, dict[str, Any]]]:
     """Return sections, nested by namespace ``above``: names with a leading slash, and values."""
-    found = list[tuple[str, dict[str, Any]]]()
+    entries = list[tuple[str, dict[str, Any]]]()
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name != PARAMETERS:
-            found += sections(below, file, f'{above}/{str(name).strip("/")}')
+            entries += sections(below, file, f'{above}/{str(name).strip("/")}')
         elif above and isinstance(below, dict):
-            found.append((above, below))
-    if not (found or above or tree == {}):
+            entries.append((above, below))
+    if not (entries or above or tree == {}):
         needed = 'sections such as "/**: {ros__parameters: {step: 0.5}}" are needed'
         raise BadInput.stating(file, 'not a parameter file', needed)
-    return found
+    return entries
 
 
 # --- parameters of both nodes
@@ -346,9 +346,9 @@ class VehicleParameters:
         """Return the known wind or acceleration, including gravity, shape (n,)."""
         if self.gravity and (self.dimension, self.translation_order) != (3, 2):
             raise BadInput('gravity', self.gravity, '0 unless dimension 3, translation_order 2')
-        known = vector(self.wind, 'wind', self.dimension)
-        known[-1] -= self.gravity
-        return sealed(known)
+        disturbance = vector(self.wind, 'wind', self.dimension)
+        disturbance[-1] -= self.gravity
+        return sealed(disturbance)
 
     @cached_property
     def boxes(self) -> tuple[Box, ...]:
@@ -371,6 +371,6 @@ class VehicleParameters:
         direction = self.approach_direction
         if direction:
             direction = tuple(vector(direction, 'approach.direction', self.dimension).tolist())
-        known = Approach(self.approach_cone, direction)
-        known.validate(self.dimension)
-        return known
+        approach = Approach(self.approach_cone, direction)
+        approach.validate(self.dimension)
+        return approach

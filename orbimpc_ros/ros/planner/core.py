@@ -252,10 +252,10 @@ class Inputs:
 
     def renew(self, stamp: int, now: float) -> bool:
         """Count odometry of a stamp [ns] as arrived again; return True if it may be answered."""
-        known = self.odometry
-        if known is None or stamp != known.stamp.nanoseconds or not self.complete:
+        odometry = self.odometry
+        if odometry is None or stamp != odometry.stamp.nanoseconds or not self.complete:
             return False
-        self.latest['odom'] = replace(known, at=now)
+        self.latest['odom'] = replace(odometry, at=now)
         return True
 
     # --- goals
@@ -277,9 +277,9 @@ class Inputs:
 
     def _date_goal(self) -> None:
         """Give a goal without a stamp the time of the latest odometry."""
-        goal, known = self.latest.get('goal'), self.odometry
-        if goal is not None and known is not None and not goal.stamp.nanoseconds:
-            self._see_anew(replace(goal, value=replace(goal.value, time=known.value.time)))
+        goal, odometry = self.latest.get('goal'), self.odometry
+        if goal is not None and odometry is not None and not goal.stamp.nanoseconds:
+            self._see_anew(replace(goal, value=replace(goal.value, time=odometry.value.time)))
 
     def _place_again(self, at: int) -> None:
         """Transform a resting goal anew, at a stamp [ns]: localisation may have moved its frame."""
@@ -316,8 +316,8 @@ class Inputs:
 
     def _take_marker(self, marker: Any, ros: int | None) -> str:
         """Take in a marker, or raise BadInput; describe it if it is unusual."""
-        known = self.settings.problem.dimension, self.settings.frames, self.transforms.move
-        seen = read_obstacle(marker, *known)
+        frames, move = self.settings.frames, self.transforms.move
+        seen = read_obstacle(marker, self.settings.problem.dimension, frames, move)
         if seen is None:
             self.bodies.clear()
             return ''
@@ -338,8 +338,8 @@ class Inputs:
         if not self.latest.keys() & {OBSTACLES, *self.others}:
             return None
         agents = tuple(filter(None, map(self._value, self.others)))
-        known = self.bodies.current(at), agents
-        return ObservedTraffic(*known, self.settings.obstacle_unseen_speed, self.settings.distance)
+        tracks, settings = self.bodies.current(at), self.settings
+        return ObservedTraffic(tracks, agents, settings.obstacle_unseen_speed, settings.distance)
 
     def silences(self) -> list[str]:
         """Return messages on other vehicles that have fallen silent."""
@@ -357,8 +357,8 @@ class Inputs:
 
     @property
     def _time(self) -> int:
-        known = self.latest.get('odom')
-        return -1 if known is None else known.stamp.nanoseconds
+        odometry = self.latest.get('odom')
+        return -1 if odometry is None else odometry.stamp.nanoseconds
 
     def _value(self, topic: str) -> Any:
         """Return the content of the latest message of a topic, if any."""
@@ -387,12 +387,12 @@ class Inputs:
         They are taken to plan as often as this one. Without their new plans, paths might cross. Of
         vehicles that measure at the same time, those of lesser names plan first.
         """
-        found, own, period = [], self._resolve(PLAN), self.settings.period
+        topics, own, period = [], self._resolve(PLAN), self.settings.period
         for topic, stamp in self.stamps(*self.others).items():
             age, tie = (self._time - stamp) / SECOND, -TIE if topic < own else TIE
             if period >= UNHURRIED and period + tie < age <= self.settings.distance.timeout:
-                found.append(topic)
-        return found
+                topics.append(topic)
+        return topics
 
     @property
     def missing(self) -> str:
@@ -415,8 +415,8 @@ class Inputs:
     @property
     def untimed(self) -> str:
         """Return the sources whose stamps are not on this node's clock."""
-        found = (t for t in READ if t in self.latest and self.latest[t].timed is False)
-        return ', '.join(map(self._named, found))
+        topics = (t for t in READ if t in self.latest and self.latest[t].timed is False)
+        return ', '.join(map(self._named, topics))
 
     # --- inputs of decisions
 
@@ -444,7 +444,7 @@ class Inputs:
         self, now: float, ros: int | None = None, *, stop: Reason | None = None, taking: float = 0.0
     ) -> Snapshot:
         """Return all inputs of a decision that takes a time [s]; ``stop`` forbids any plan."""
-        known, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
+        odometry, goal, path = self.odometry, self.latest.get('goal'), self.latest.get('goal_path')
         ages = {t: self._goal_age(t, now, ros) for t in GOALS if t in self.latest}
         motion: GoalMotion | None = None if goal is None else self.forecast
         wanted = None if goal is None else goal.value.attitude
@@ -455,18 +455,18 @@ class Inputs:
             if fresh and path.value.attitude is not None:
                 wanted = path.value.attitude
         age = min(ages.values(), default=0.0)
-        if known is None:
+        if odometry is None:
             return Snapshot(None, motion, wanted, goal_age=age, stop=stop)
-        compensated = self.settings.delay_compensation and known.timed and ros
+        compensated = self.settings.delay_compensation and odometry.timed and ros
         return Snapshot(
-            odometry=known.value,
+            odometry=odometry.value,
             goal=motion,
             wanted=wanted,
-            traffic=self.traffic(known.value.time),
+            traffic=self.traffic(odometry.value.time),
             wind=self._value('wind'),
-            odometry_age=known.age(now, ros),
+            odometry_age=odometry.age(now, ros),
             goal_age=age,
-            latency=known.delay(ros) + taking if compensated else 0.0,
+            latency=odometry.delay(ros) + taking if compensated else 0.0,
             stop=stop,
         )
 
@@ -502,11 +502,11 @@ def read(
     frames = settings.frames
     if topic in GOALS and not message.header.frame_id:
         frames = replace(frames, world='')
-    known = settings.problem.dimension, frames, *(() if move is None else (move,))
-    stamp, value = READ.get(topic, messages.read_agent)(message, *known)
+    context = settings.problem.dimension, frames, *(() if move is None else (move,))
+    stamp, value = READ.get(topic, messages.read_agent)(message, *context)
     if topic in GOALS and settings.wants_attitude and value.attitude is None:
-        asked = 'one that is not vertical: weights.attitude or approach.cone needs its yaw'
-        raise BadInput('pose.orientation', 'that of a vertical x axis', asked)
+        needed = 'one that is not vertical: weights.attitude or approach.cone needs its yaw'
+        raise BadInput('pose.orientation', 'that of a vertical x axis', needed)
     return stamp, value
 
 
@@ -591,8 +591,8 @@ class Core:
         """Return the next command, with what it is based on; ``stop`` forbids any plan."""
         begun, taking = self._clock(), 0.0 if self._simulated else self.expected
         snapshot = self.inputs.snapshot(now, ros, stop=stop, taking=taking)
-        before, known = self.seen.odometry, snapshot.odometry
-        if before is not None and known is not None and known.time < before.time:
+        before, measured = self.seen.odometry, snapshot.odometry
+        if before is not None and measured is not None and measured.time < before.time:
             self.planner.start_afresh()  # the clock of odometry was set back
         heard, self.seen = self.inputs.heard, snapshot
         clock, end = self._clock, math.inf if self._unlimited else begun + self.settings.deadline
@@ -646,8 +646,8 @@ class Core:
         from orbimpc_ros.mpc.proof.document import WORD, held_in_time
         from orbimpc_ros.mpc.solve.refute import refutation_of
 
-        known, claim = (self._deadline.clock, self._deadline.end), (sought, count)
-        refutation = held_in_time(lambda late: refutation_of(*claim, late), *known)
+        deadline, claim = (self._deadline.clock, self._deadline.end), (sought, count)
+        refutation = held_in_time(lambda late: refutation_of(*claim, late), *deadline)
         reason = decision.reason
         if decision.infeasible is not None and refutation is None:
             reason = joined(reason, WORD)

@@ -69,9 +69,9 @@ class EndpointMonitor:
         end = self._rota.pop()
         self.mismatches[end.topic_name] = self._mismatch(end)
 
-    def _several(self, end: Publisher | Subscription | None, words: str) -> str:
+    def _several(self, end: Publisher | Subscription | None, consequence: str) -> str:
         count = 0 if end is None else self._node.count_publishers(end.topic_name)
-        return f'{count} publishers on {end.topic_name}{words}' if end and count > 1 else ''
+        return f'{count} publishers on {end.topic_name}{consequence}' if end and count > 1 else ''
 
     def _mismatch(self, end: Publisher | Subscription) -> str:
         """Return which other end is incompatible with ``end``, and why; empty if none is."""
@@ -255,18 +255,18 @@ class PlannerNode(Managed):
             goal = inputs.latest['goal']
             self._events.send(goal.value.position, streams=goal.streams)
             self._publish_events()
-        known = inputs.odometry
-        measured = known is not before
+        odometry = inputs.odometry
+        measured = odometry is not before
         # Transforms arrive even while it is inactive.
-        if known is not None and self.active and self.settings.trigger == 'odom':
-            waits = known.stamp.nanoseconds != self._answered
+        if odometry is not None and self.active and self.settings.trigger == 'odom':
+            waits = odometry.stamp.nanoseconds != self._answered
             if not inputs.complete:
                 if measured:
                     self._wait()
-            elif measured or (waits and not self._core.planner.unsafe(known.age(*at))):
+            elif measured or (waits and not self._core.planner.unsafe(odometry.age(*at))):
                 self._answer(self._core.decide(*at, stop))
-        if known is not None and measured:  # no command waits for this
-            self._frame_check.note(known.value)
+        if odometry is not None and measured:  # no command waits for this
+            self._frame_check.note(odometry.value)
 
     def _wait(self) -> None:
         """Let new odometry wait for a while for messages that belong to it."""
@@ -284,11 +284,11 @@ class PlannerNode(Managed):
             self._gate = message.data
             self._switched('engaged: commands' if message.data else 'not engaged: silent')
 
-    def _switched(self, words: str) -> None:
+    def _switched(self, message: str) -> None:
         """Record that commands start, from a fresh state, or stop being sent."""
         if self._engaged:
             self._core.planner.start_afresh()
-        self.get_logger().info(words)
+        self.get_logger().info(message)
 
     @property
     def _engaged(self) -> bool:
@@ -342,8 +342,8 @@ class PlannerNode(Managed):
 
     def _unsafe(self) -> Reason | None:
         """Return why no plan may be followed now; None if one may."""
-        known = self._core.inputs.odometry
-        age = None if known is None else known.age(*self._now())
+        odometry = self._core.inputs.odometry
+        age = None if odometry is None else odometry.age(*self._now())
         return self._core.planner.unsafe(age, self._stop())
 
     def safe(self, reason: Reason) -> None:
@@ -356,8 +356,8 @@ class PlannerNode(Managed):
     def _be_safe(self, reason: Reason) -> None:
         # Stamped now: it does not answer any odometry.
         now = max(self._time.nanoseconds, self._answered + 1)
-        known = self._core.inputs.odometry
-        frames = self.settings.frames if known is None else known.stamp.frames
+        odometry = self._core.inputs.odometry
+        frames = self.settings.frames if odometry is None else odometry.stamp.frames
         self._publish(Stamp(now, frames), self._decide(reason))
 
     # --- outputs
@@ -379,8 +379,8 @@ class PlannerNode(Managed):
     def _command(self, decision: Decision) -> None:
         """Send the command of a decision to the vehicle, if commands may be sent."""
         if self._engaged:
-            known, oriented = (self.settings, self._stamp), 'odom' in self._core.inputs.latest
-            self._send(messages.command_messages(*known, decision.command, oriented=oriented))
+            context, oriented = (self.settings, self._stamp), 'odom' in self._core.inputs.latest
+            self._send(messages.command_messages(*context, decision.command, oriented=oriented))
         self._sent_at = self.steady_now()
 
     def _is_heard(self, topic: str) -> bool:
@@ -390,8 +390,8 @@ class PlannerNode(Managed):
 
     def _report(self, decision: Decision) -> None:
         """Publish reports of a decision on topics that have subscribers."""
-        known = self.settings, self._stamp, decision, self.get_fully_qualified_name()
-        self._send(outputs.report_messages(*known, [*filter(self._is_heard, self._publishers_of)]))
+        head = self.settings, self._stamp, decision, self.get_fully_qualified_name()
+        self._send(outputs.report_messages(*head, [*filter(self._is_heard, self._publishers_of)]))
 
     def _send(self, content: Iterable[tuple[str, Any]]) -> None:
         for topic, message in content:
@@ -491,8 +491,8 @@ class PlannerNode(Managed):
             'callbacks failed': self.failures,
             **{f'refused {what}': count for what, count in inputs.refused.items()},
         }
-        known = self._time.nanoseconds, self.get_fully_qualified_name(), 'condition', self._level
-        message = messages.health_message(*known, '; '.join(parts), values)
+        head = self._time.nanoseconds, self.get_fully_qualified_name(), 'condition', self._level
+        message = messages.health_message(*head, '; '.join(parts), values)
         self._publishers_of['/diagnostics'].publish(message)
 
     # --- fresh starts

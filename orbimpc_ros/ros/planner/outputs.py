@@ -146,8 +146,8 @@ def report_messages(
         if f'~/{name}' in heard:
             yield f'~/{name}', Float64(data=float(numbers[name]))
     if 'tick' in heard:
-        known = stamp.nanoseconds, f'{node}: tick', level(decision)
-        yield 'tick', diagnostics(*known, decision.reason or decision.status, values(decision))
+        head = stamp.nanoseconds, f'{node}: tick', level(decision)
+        yield 'tick', diagnostics(*head, decision.reason or decision.status, values(decision))
     if 'plan' in heard:
         flown: Iterable[tuple[Array, Array]] = ()
         if decision.plan is not None:
@@ -198,10 +198,10 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
     hover = f'hovers at {gravity / problem.forward:.3g} of its thrust'
     if least > gravity:
         hover = f'cannot hover: its least thrust is {least:.4g}'
-    known, wind = settings.disturbance, settings.disturbance.copy()
+    disturbance, wind = settings.disturbance, settings.disturbance.copy()
     wind[-1] += gravity
     speed = float(np.linalg.norm(wind))
-    needed = math.degrees(math.atan2(math.hypot(*known[:2]), -known[-1]))
+    needed = math.degrees(math.atan2(math.hypot(*disturbance[:2]), -disturbance[-1]))
     every = 'step' if settings.period == problem.step else f'{settings.period:g} s'
     planned = 'at each odometry' if settings.trigger == 'odom' else f'every {every}'
     ageing = f'goals stale after {settings.goal_timeout:g} s'
@@ -242,7 +242,7 @@ def summary(settings: PlannerSettings, simulated: bool) -> str:
         'dry run: sends no commands': settings.dry_run,
         'sends no commands until engaged': settings.gated,
     }  # fmt: skip
-    return ', '.join(words for words, holds in parts.items() if holds)
+    return ', '.join(text for text, holds in parts.items() if holds)
 
 
 def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
@@ -254,7 +254,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     rate, ahead = problem.max_rate, problem.horizon * problem.step
     turned = math.degrees(ahead * rate)
     needed = math.ceil(math.pi / (problem.step * rate or math.inf))
-    found = {
+    warnings = {
         f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: '
         f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant': rate > BRISK,
         'max_rate is not given: commands may turn by half a turn in a step; give the largest '
@@ -276,5 +276,5 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     ):
         value = given.get(name, DEFAULTS[name])
         odd = not used and value != DEFAULTS[name]
-        found[f'{name} {value:g} has no effect with {beside}'] = odd
-    return [words for words, holds in found.items() if holds]
+        warnings[f'{name} {value:g} has no effect with {beside}'] = odd
+    return [text for text, holds in warnings.items() if holds]

@@ -186,8 +186,8 @@ class Wing(ABC):
     def _warn(self, problem: str) -> None:
         self._node.get_logger().warning(f'{self.name}: {problem}', throttle_duration_sec=QUIET)
 
-    def _listen(self, kind: type, topic: str, callback: Callable[..., None], *known: str) -> None:
-        self._node.create_subscription(kind, topic, self._node.guard(callback, *known), LATEST)
+    def _listen(self, kind: type, topic: str, callback: Callable[..., None], *bound: str) -> None:
+        self._node.create_subscription(kind, topic, self._node.guard(callback, *bound), LATEST)
 
     def _airspeed_is(self, true: float) -> None:
         """Take in the true airspeed [m/s]; it is unknown unless positive."""
@@ -228,8 +228,8 @@ class Px4(Wing):
 
     name, package, mode = 'px4', 'px4_msgs', 'offboard'
 
-    def __init__(self, *known: Any) -> None:
-        super().__init__(*known)
+    def __init__(self, *wiring: Any) -> None:
+        super().__init__(*wiring)
         types = self._types
         self._share, self._origin = 1.0, math.nan
         for kind, *callback in (
@@ -315,11 +315,11 @@ class ArduPlane(Wing):
 
     name, package, mode = 'arduplane', 'mavros_msgs', 'GUIDED'
 
-    def __init__(self, *known: Any) -> None:
-        super().__init__(*known)
+    def __init__(self, *wiring: Any) -> None:
+        super().__init__(*wiring)
         self._command = import_module(f'{self.package}.srv').CommandInt
         self._client = self._node.create_client(self._command, 'mavros/cmd/command_int')
-        self._share, self._asked = 1.0, -math.inf
+        self._share, self._requested_at = 1.0, -math.inf
         self._due: list[dict[str, float]] = []  # fields of commands, each a COMMAND_INT
         wind = TwistWithCovarianceStamped
         self._listen(OdometryMessage, 'mavros/local_position/odom', self._on_odometry)
@@ -346,7 +346,7 @@ class ArduPlane(Wing):
 
     def _publish(self, airspeed: float, heading: float, turn: float, altitude: float) -> None:
         """Send the commands of a setpoint in sequence; a new setpoint waits for their end."""
-        if self._due and self._node.steady_now() - self._asked < REFUSALS:  # busy
+        if self._due and self._node.steady_now() - self._requested_at < REFUSALS:  # busy
             return
         sideways, speed = airspeed * turn, self._share * airspeed
         ahead = math.degrees(bearing(heading + AHEAD * sideways / GRAVITY)) % 360.0
@@ -368,7 +368,7 @@ class ArduPlane(Wing):
         if not self._client.service_is_ready():
             self._due = []
             return
-        self._asked = self._node.steady_now()
+        self._requested_at = self._node.steady_now()
         request = self._command.Request(**self._due[0])
         self._client.call_async(request).add_done_callback(self._node.guard(self._on_answer))
 
