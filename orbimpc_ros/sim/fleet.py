@@ -35,7 +35,7 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
     Raises:
         BadInput: ``count`` is not in [1, 64].
     """
-    found = dict[str, Parameters]()
+    parameters = dict[str, Parameters]()
     for number in range(whole(count, 'vehicles', 1, MOST)):
         rng, place = np.random.default_rng([seed, number]), 2.0 * math.pi * number / count
         outwards = np.array([math.cos(place), math.sin(place)])
@@ -48,7 +48,7 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
             across = max(LEAST_RING, ROOM * count / (2.0 * math.pi)) * outwards
             start, goal = rng.uniform(-ASTRAY, ASTRAY, (2, 2)) + np.array([across, -across])
         half = 0.5 * math.atan2(*(goal - start)[::-1])
-        found[f'/uav{number + 1}'] = {
+        parameters[f'/uav{number + 1}'] = {
             'rope.center': (*goal.tolist(), 0.0),
             'rope.amplitude': (swing, swing, 0.0),
             'rope.frequency': frequency,
@@ -57,4 +57,4 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
             'start.orientation': (0.0, 0.0, math.sin(half), math.cos(half)),
             'seed': (seed + number + 1) % 2**31,
         }
-    return found
+    return parameters

@@ -66,14 +66,14 @@ class SimNode(Managed):
         prefix, body = self.get_namespace().strip('/'), self.settings.child_frame_id
         if prefix and not body.startswith(f'{prefix}/'):  # unique among vehicles that share /tf
             body = f'{prefix}/{body}'
-        self._known = known = replace(self.settings, child_frame_id=body)
-        self._wall, self._name = known.clock == 'wall', self.get_fully_qualified_name()
-        self._patience = math.inf if self._wall else known.wait_timeout or math.inf  # [s]
-        self._orders = Orders(known)
+        self._scenario = scenario = replace(self.settings, child_frame_id=body)
+        self._wall, self._name = scenario.clock == 'wall', self.get_fully_qualified_name()
+        self._patience = math.inf if self._wall else scenario.wait_timeout or math.inf  # [s]
+        self._orders = Orders(scenario)
         self._refused: Counter[str] = Counter()  # number of refused commands, by topic and field
         self._shared = math.inf  # time of the shared clock; infinite without one [ns]
         self._course: Course | None = None
-        self._begin(known.begin)
+        self._begin(scenario.begin)
         deep = qos(DEPTH)
         self._commands, _ = (
             self.create_subscription(message_of(name), name, self.at_work(self._take, name), deep)
@@ -86,15 +86,15 @@ class SimNode(Managed):
         }
         self._out['captured'] = self.create_publisher(Bool, 'captured', LATCHED)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
-        self._rate = 1.0 if self._wall else known.rate  # as a multiple of real time; 0: no limit
+        self._rate = 1.0 if self._wall else scenario.rate  # as a multiple of real time; 0: no limit
         if self._rate:
-            self.every(known.model.step / self._rate, self._on_rate)
+            self.every(scenario.model.step / self._rate, self._on_rate)
         self.every(LOOK, self._go_on)
-        if known.clock == 'shared':
+        if scenario.clock == 'shared':
             self._shared = -math.inf
             self.create_subscription(Clock, '/clock', self.at_work(self._on_clock), deep)
         if self._wall:  # publishers without a liveliness lease do not match, which is no fault
-            lease, kind = max(LIFE, SHARE * known.given_command_timeout), message_of('cmd_vel')
+            lease, kind = max(LIFE, SHARE * scenario.given_command_timeout), message_of('cmd_vel')
             events = SubscriptionEventCallbacks(
                 liveliness=self.at_work(self._on_life), incompatible_qos=lambda _event: None
             )
@@ -104,24 +104,24 @@ class SimNode(Managed):
     def activate(self) -> None:
         """Start a flight; after an earlier one, at a later time: stamps must not go back."""
         if self._course is not None:
-            self._begin(self._begun + self._flight.vehicle.time + self._known.model.step)
+            self._begin(self._begun + self._flight.vehicle.time + self._scenario.model.step)
             self._out['captured'].publish(Bool(data=False))
         self._course = self._in_real_time() if self._wall else self._in_lock_step()
         next(self._course)
 
     def _begin(self, at: float) -> None:
         self._begun = at  # simulated time at the start of the flight [s]
-        self._flight, self._view = departure(self._known), View(self._known)
+        self._flight, self._view = departure(self._scenario), View(self._scenario)
         self._finished = False  # whether the flight has ended
         self._due = True  # whether the next step may begin by its rate
-        self._order = Order(0, 0.0, np.zeros(self._known.model.rates))  # the last command
+        self._order = Order(0, 0.0, np.zeros(self._scenario.model.rates))  # the last command
         self._expires = -math.inf  # real time: when it expires, on the steady clock [s]
         self._stopped = math.inf  # since when the vehicle is stopped; infinite while it is not [s]
 
     @property
     def _now(self) -> int:
         """Return the ROS time, or in lock-step the simulated time, with jumps by faults [ns]."""
-        jump = self._known.faults.jumped(self._flight.ticks)
+        jump = self._scenario.faults.jumped(self._flight.ticks)
         if self._wall:
             return int(self.get_clock().now().nanoseconds) + round(jump * SECOND)
         return round((self._begun + self._flight.vehicle.time + jump) * SECOND)
@@ -178,12 +178,12 @@ class SimNode(Managed):
         configured. Only managed planners count as such: others may read goals through another node.
         Changes of what is missing are logged.
         """
-        wanted, fewest, announced = self._known.wait_for, self._known.wait_subscribers, ''
+        wanted, fewest, announced = self._scenario.wait_for, self._scenario.wait_subscribers, ''
         begun = counted_from = met_after = self.steady_now()
         while True:
             now = self.steady_now()
-            found = self.get_publishers_info_by_topic(self._commands.topic_name)
-            planners, goal = {*map(full_name, found)}, self._out['goal'].topic_name
+            publishers = self.get_publishers_info_by_topic(self._commands.topic_name)
+            planners, goal = {*map(full_name, publishers)}, self._out['goal'].topic_name
             silent = () if self._wall else planners.difference(self._readers(goal))
             coming = [name for name in silent if self.count_publishers(f'{name}/{TRANSITIONS}')]
             others = {self._name, *planners}
@@ -221,8 +221,8 @@ class SimNode(Managed):
 
     def _readers(self, topic: str) -> list[str]:
         """Return the full names of a topic's readers: of nodes, once for each subscription."""
-        found = self.get_subscriptions_info_by_topic(topic)
-        return [full_name(each) for each in found if each.node_name != UNKNOWN]
+        endpoints = self.get_subscriptions_info_by_topic(topic)
+        return [full_name(each) for each in endpoints if each.node_name != UNKNOWN]
 
     def _give_up(self, awaited: str, since: float, patience: float) -> None:
         """End this process if something has been awaited for too long [s]."""
@@ -243,7 +243,7 @@ class SimNode(Managed):
         topics. With a ``rate`` or a shared clock, the next step is not published before its time.
         """
         yield from self._meeting()
-        half = 0.5 * self._known.model.step * SECOND  # far above rounding errors
+        half = 0.5 * self._scenario.model.step * SECOND  # far above rounding errors
         newest, goal_sent = -np.inf, False  # true time of the newest odometry sent [s]
         heard = -np.inf  # simulated arrival time of the last command [s]
         while not self._finished:
@@ -251,9 +251,9 @@ class SimNode(Managed):
                 yield
             self._due = not self._rate
             sent, answered = self._view.of(self._flight), None
-            told = [each for each in sent if np.isfinite(each.position).all()]
-            goal_sent |= not all(isinstance(each, Odometry) for each in told)
-            for seen in told:  # the planner will answer the newest odometry
+            valid = [each for each in sent if np.isfinite(each.position).all()]
+            goal_sent |= not all(isinstance(each, Odometry) for each in valid)
+            for seen in valid:  # the planner will answer the newest odometry
                 if isinstance(seen, Odometry) and seen.time > newest:
                     newest = seen.time
                     answered = self._stamp_of(seen, self._now) if goal_sent else None
@@ -263,20 +263,20 @@ class SimNode(Managed):
             if self._flight.over:
                 self._finish()
             else:
-                self._fly(heard + self._known.command_timeout - self._flight.vehicle.time)
+                self._fly(heard + self._scenario.command_timeout - self._flight.vehicle.time)
         yield
 
     def _answer(self, sent: list[Seen], answered: int | None) -> Answer:
         """Publish the flight until odometry of a stamp [ns], if any, is answered; return that."""
-        begun, shared = self.steady_now(), self._known.clock == 'shared'
+        begun, shared = self.steady_now(), self._scenario.clock == 'shared'
         while True:
-            asked, waited = self.steady_now(), 0.0
-            self._show(sent, APART if self._known.faults != Faults() else 0.0)
+            shown_at, waited = self.steady_now(), 0.0
+            self._show(sent, APART if self._scenario.faults != Faults() else 0.0)
             while waited <= (SETTLED if answered is None else RESEND):
                 order = yield
                 if order is not None and order.stamp == answered:
                     return order
-                waited = self.steady_now() - asked
+                waited = self.steady_now() - shown_at
             if answered is None:
                 return None
             # Vehicles with a shared clock wait for each other, too.
@@ -311,16 +311,16 @@ class SimNode(Managed):
         order = yield
         if self._wall and order is not None and not self._view.command_lost(self._flight.ticks):
             self._order, self._stopped = order, math.inf
-            self._expires = self.steady_now() + self._known.command_timeout
+            self._expires = self.steady_now() + self._scenario.command_timeout
         elif self._stopped == math.inf and self.steady_now() >= self._expires:
-            self._stop(f'no command for {self._known.command_timeout:g} s')
+            self._stop(f'no command for {self._scenario.command_timeout:g} s')
 
     def _stop(self, reason: str) -> None:
         """Stop the vehicle and report why, even if it has already stopped for another reason."""
         if self._expires == -math.inf or self._finished:  # no command so far
             return
         self._stopped = min(self._stopped, self._expires, self.steady_now())
-        share, turn = self._known.failsafe_fraction, self._known.failsafe_rate
+        share, turn = self._scenario.failsafe_fraction, self._scenario.failsafe_rate
         kept = f'failsafe at {share:g} of full speed or thrust, {turn:g} rad/s'
         self._warn(f'{reason}: {kept if share or turn else "stopped"}')
 
@@ -332,7 +332,7 @@ class SimNode(Managed):
 
     def _show(self, seen: Sequence[Seen], apart: float = 0.0) -> None:
         """Publish the present state of the flight, then goals, then odometry ``apart`` [s]."""
-        stamp = Stamp(self._now, self._known.frames)
+        stamp = Stamp(self._now, self._scenario.frames)
         for topic, message in outputs.shown(stamp, self._name, self._flight):
             self._out[topic].publish(message)
         for each in sorted(seen, key=lambda each: isinstance(each, Odometry)):
@@ -364,7 +364,7 @@ class SimNode(Managed):
             numbers |= {'least_airspeed': flight.least_airspeed, 'stalls': flight.stalls}
         self._diagnose(messages.OK if flight.captured else messages.WARN, ending, numbers)
         self.get_logger().info(ending)
-        if self._known.exit_when_done:
+        if self._scenario.exit_when_done:
             self.exit_code = DONE if flight.captured else FAILED
 
     def _warn(self, text: str) -> None:

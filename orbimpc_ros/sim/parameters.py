@@ -177,11 +177,11 @@ class SimSettings(VehicleParameters):
         """Return the number of readers to wait for, by topic, besides planner and simulator."""
         wanted: dict[str, int] = {}
         for entry in filter(None, map(str.strip, self.given_wait_for.split(','))):
-            found = READERS.fullmatch(entry)
-            if found is None or found['topic'] in wanted:
+            match = READERS.fullmatch(entry)
+            if match is None or match['topic'] in wanted:
                 allowed = 'topics, each with the number of its readers, 1 to 100: odom 2'
                 raise BadInput('wait_for', self.given_wait_for, allowed)
-            wanted[found['topic']] = int(found['count'] or 1)
+            wanted[match['topic']] = int(match['count'] or 1)
         return wanted
 
     @property
@@ -221,9 +221,9 @@ class SimSettings(VehicleParameters):
     @cached_property
     def start(self) -> Vehicle:
         """Return the vehicle before it moves; at translation order 1 its velocity follows then."""
-        given, unit = self.start_orientation, np.roll(self.start_orientation, 1)  # w, x, y, z
+        orientation, unit = self.start_orientation, np.roll(self.start_orientation, 1)  # w, x, y, z
         if len(unit) != 4 or not abs(np.linalg.norm(unit) - 1.0) <= QUATERNION_TOLERANCE:
-            raise BadInput('start.orientation', given, 'a unit quaternion x, y, z, w')
+            raise BadInput('start.orientation', orientation, 'a unit quaternion x, y, z, w')
         attitude = from_quaternion(unit / np.linalg.norm(unit), self.dimension)
         body_rate = vector(self.start_body_rate, 'start.body_rate', 3)
         return Vehicle(
@@ -242,11 +242,11 @@ class SimSettings(VehicleParameters):
         numbers, n = self.given_traffic, self.dimension
         if len(numbers) % (2 * n + 1):
             raise BadInput('traffic', list(numbers), f'{2 * n + 1} numbers for each ball')
-        found = []
+        balls = []
         for row in np.reshape(numbers, (-1, 2 * n + 1)).astype(float):
             ball = Ball(row[:n], number(float(row[-1]), 'traffic radius', 0.0, above=True))
-            found.append(MovingObstacle.drifting(ball, row[n:-1]))
-        return tuple(found)
+            balls.append(MovingObstacle.drifting(ball, row[n:-1]))
+        return tuple(balls)
 
     @cached_property
     def bodies(self) -> tuple[MovingObstacle, ...]:
@@ -256,11 +256,11 @@ class SimSettings(VehicleParameters):
     @cached_property
     def approach(self) -> Approach:
         """Return the approach cone of a catch; the goal's orientation is that of the world."""
-        known = self.approach_of_a_catch()
-        if not known.is_the_goals:
-            return known
+        approach = self.approach_of_a_catch()
+        if not approach.is_the_goals:
+            return approach
         own = self.frames.turned(np.eye(3))[: self.dimension, 0]
-        return replace(known, direction=tuple(own.tolist()))
+        return replace(approach, direction=tuple(own.tolist()))
 
 
 SIM = tuple(replace(spec, live=False) for spec in (*specs_of(SimSettings), *specs_of(Faults)))

@@ -72,13 +72,13 @@ class Model:
         end = replace(vehicle, time=time, attitude=attitude, body_rate=body_rate, fraction=fraction)
         before, after = self._pushed(vehicle), self._pushed(end)
         exact = self.discretisation == 'exact'
-        way: Array = span * ((0.5 * (before + after) if exact else before) + self.blown)
+        change: Array = span * ((0.5 * (before + after) if exact else before) + self.blown)
         velocity: Array = after + self.blown
         if self.translation_order == 2:
-            way, velocity = span * vehicle.velocity, vehicle.velocity + way
+            change, velocity = span * vehicle.velocity, vehicle.velocity + change
             if exact:
-                way = way + span * span * (before / 3.0 + after / 6.0 + 0.5 * self.blown)
-        return (replace(end, position=vehicle.position + way, velocity=velocity),)
+                change = change + span * span * (before / 3.0 + after / 6.0 + 0.5 * self.blown)
+        return (replace(end, position=vehicle.position + change, velocity=velocity),)
 
     def _pushed(self, vehicle: Vehicle) -> Array:
         """Return the airspeed [m/s] or thrust acceleration [m/s^2] as a vector, shape (n,)."""
@@ -192,19 +192,19 @@ class Plant(Model):
         winds = [self._wind(vehicle.time + after) for after in times]
         first, second, third = (self._pushed(s) + w for s, w in zip(states, winds, strict=True))
         if self.translation_order == 1:
-            way, velocity, wind = dt / 6.0 * (first + 4.0 * second + third), third, winds[-1]
+            shift, velocity, wind = dt / 6.0 * (first + 4.0 * second + third), third, winds[-1]
         else:
             begun, wind = vehicle.velocity, vehicle.wind
             a = first - self.drag * begun
             b = second - self.drag * (begun + 0.5 * dt * a)
             c = second - self.drag * (begun + 0.5 * dt * b)
             d = third - self.drag * (begun + dt * c)
-            way = dt * begun + dt * dt / 6.0 * (a + b + c)
+            shift = dt * begun + dt * dt / 6.0 * (a + b + c)
             velocity = begun + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
         return replace(
             states[-1],
             time=vehicle.time + dt,
-            position=vehicle.position + way,
+            position=vehicle.position + shift,
             velocity=velocity,
             attitude=nearest(states[-1].attitude),  # nearest: no drift off SO(n)
             wind=wind,

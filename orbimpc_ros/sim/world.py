@@ -158,9 +158,9 @@ def departure(settings: SimSettings) -> Flight:
     start = settings.start
     if settings.vehicle in vehicles.ENGINES:
         start = replace(start, wind=settings.model.blown, goal=settings.rope_at(0.0))
-        given = settings.forward, settings.gust, settings.seed, settings.rope[0]
+        conditions = settings.forward, settings.gust, settings.seed, settings.rope[0]
         try:
-            engine = vehicles.class_of(settings.vehicle)(start, *given)
+            engine = vehicles.class_of(settings.vehicle)(start, *conditions)
         except EngineFailure as error:
             raise BadInput('vehicle', settings.vehicle, f'a possible start ({error})') from None
         start = replace(engine.state(), engine=engine)
@@ -205,7 +205,7 @@ def touched(
     It is ``flown`` between two ``times`` since the start [s]; depths up to ``grazed`` [m] do not
     count. Between both faces of a box on every axis at the same time it is inside.
     """
-    found = []
+    indices = []
     for k, each in enumerate(bodies):
         body, (start, end) = each.body, np.array(flown) - each.moved(np.array(times))
         if isinstance(body, Ball):
@@ -218,5 +218,5 @@ def touched(
             begin, finish = shares.min(axis=0).max(initial=0.0), shares.max(axis=0).min(initial=1.0)
             entered = (low < high).all() and begin < finish
         if entered:
-            found.append(k)
-    return frozenset(found)
+            indices.append(k)
+    return frozenset(indices)

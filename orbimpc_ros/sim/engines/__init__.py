@@ -111,8 +111,8 @@ class Engine(ABC):
             self.fly(fraction, rate)
             if k % self.every == 0 or k == count:
                 now = replace(self.state(), engine=self)
-                known = *vars(now).values(), *now.facts.values()
-                numbers = (each for each in known if isinstance(each, (float, np.ndarray)))
+                values = *vars(now).values(), *now.facts.values()
+                numbers = (each for each in values if isinstance(each, (float, np.ndarray)))
                 if not all(np.isfinite(each).all() for each in numbers):
                     wrong = f'numbers that are not finite at t = {now.time:.3f} s'
                     raise EngineFailure(f'{self.name}: {wrong}')

@@ -126,12 +126,12 @@ class Cessna(Engine):
         """
         fdm = self._fdm
         speed = fdm['velocities/vt-fps'] * FOOT
-        way = [EAST * fdm['position/long-gc-rad'], NORTH * fdm['position/lat-geod-rad']]
+        offset = [EAST * fdm['position/long-gc-rad'], NORTH * fdm['position/lat-geod-rad']]
         high = (fdm['position/h-agl-ft'] - HEIGHT) * FOOT
         compass, pitch, roll = (fdm[f'attitude/{name}-rad'] for name in ('psi', 'theta', 'phi'))
         return Vehicle(
             float(fdm['simulation/sim-time-sec']),
-            np.append(self._place + way, high),
+            np.append(self._place + offset, high),
             self._enu('velocities/v-{}-fps'),
             about(2, 0.5 * math.pi - compass) @ about(1, -pitch) @ about(0, roll),
             np.array([fdm[f'velocities/{axis}-rad_sec'] for axis in 'pqr']) * [1.0, -1.0, -1.0],

@@ -196,15 +196,15 @@ def _steered(vehicle: Any, attitude: Any) -> list[Any]:
         factory.create('Honeywell_HR12', axis.tolist(), maxMomentum=MOMENTUM)
     wheels = reactionWheelStateEffector.ReactionWheelStateEffector()
     factory.addToSpacecraft('wheels', wheels, vehicle)
-    known, config = messaging.VehicleConfigMsg(), factory.getConfigMessage()
-    known.write(messaging.VehicleConfigMsgPayload(ISCPntB_B=INERTIA.ravel().tolist()))
+    inertia, config = messaging.VehicleConfigMsg(), factory.getConfigMessage()
+    inertia.write(messaging.VehicleConfigMsgPayload(ISCPntB_B=INERTIA.ravel().tolist()))
     navigation, error = simpleNav.SimpleNav(), attTrackingError.attTrackingError()
     feedback, torques = mrpFeedback.mrpFeedback(), rwMotorTorque.rwMotorTorque()
     navigation.scStateInMsg.subscribeTo(vehicle.scStateOutMsg)
     error.attNavInMsg.subscribeTo(navigation.attOutMsg)
     error.attRefInMsg.subscribeTo(attitude)
     feedback.guidInMsg.subscribeTo(error.attGuidOutMsg)
-    feedback.vehConfigInMsg.subscribeTo(known)
+    feedback.vehConfigInMsg.subscribeTo(inertia)
     feedback.rwParamsInMsg.subscribeTo(config)
     feedback.rwSpeedsInMsg.subscribeTo(wheels.rwSpeedOutMsg)
     mean = float(np.diag(INERTIA).mean())
@@ -213,7 +213,7 @@ def _steered(vehicle: Any, attitude: Any) -> list[Any]:
     torques.rwParamsInMsg.subscribeTo(config)
     torques.controlAxes_B = np.eye(3).ravel().tolist()
     wheels.rwMotorCmdInMsg.subscribeTo(torques.rwMotorTorqueOutMsg)
-    return [wheels, [navigation, error, feedback, torques], factory, config, known]
+    return [wheels, [navigation, error, feedback, torques], factory, config, inertia]
 
 
 def _simulated(*tasks: tuple[float, float, list[Any]]) -> list[Any]:
