@@ -100,8 +100,8 @@ def _is_read(name: str, value: Any) -> bool:
     return of is None or all(isinstance(each, of) for each in parts)
 
 
-def _whole(word: str) -> float:
-    return int(word) if len(word) <= DIGITS else float(word)
+def _integer(digits: str) -> float:
+    return int(digits) if len(digits) <= DIGITS else float(digits)
 
 
 def fields(message: Any) -> dict[str, Any]:
@@ -109,14 +109,14 @@ def fields(message: Any) -> dict[str, Any]:
 
     Those that no planner or simulator publishes are left out.
     """
-    found = dict[str, Any]()
+    decoded = dict[str, Any]()
     for pair in message.status[0].values if message.status else ():
         value = pair.value
         with suppress(ValueError, RecursionError):
-            value = json.loads(value, parse_int=_whole)
+            value = json.loads(value, parse_int=_integer)
         if _is_read(pair.key, value):
-            found[pair.key] = value
-    return found
+            decoded[pair.key] = value
+    return decoded
 
 
 # --- reading
@@ -143,8 +143,8 @@ def of_vehicle(
     """
     halved = POSE_TWIST if 'odom' in names else ()
     wanted = {resolving(namespace)(name): name for name in (*names, *halved)}
-    found, own, halves = raw(path), list[Message](), list[Message]()
-    for each in found:
+    recorded, own, halves = raw(path), list[Message](), list[Message]()
+    for each in recorded:
         if each.topic in wanted:
             with _reading(path):
                 content = store().deserialize_cdr(each.data, each.type)
@@ -155,7 +155,7 @@ def of_vehicle(
         own = sorted([*own, *_joined(halves)], key=lambda each: each.sent)
     for topics_needed in needed:
         if not any(each.topic in topics_needed for each in own):
-            there = sorted({each.topic for each in found})
+            there = sorted({each.topic for each in recorded})
             places = {name.removesuffix('/odom') for name in there if name.endswith('/odom')} - {''}
             hint = f'give --namespace {" or ".join(sorted(places))}'
             missing = ' or '.join(f'{namespace}/{name}' for name in topics_needed)
@@ -185,8 +185,8 @@ def raw(path: Path) -> list[Message]:
     files = _files(path)
     with _reading(path):
         read = _of_mcap(files) if files[0].suffix == MCAP else _of_rosbags(path)
-        found = [each for each in read if topics.known(each.topic, each.type)]
-    return sorted(found, key=lambda each: each.sent)
+        messages = [each for each in read if topics.known(each.topic, each.type)]
+    return sorted(messages, key=lambda each: each.sent)
 
 
 def notes(path: Path) -> dict[str, str]:
@@ -198,8 +198,8 @@ def notes(path: Path) -> dict[str, str]:
     file = _files(path)[0]
     if file.suffix == MCAP:
         with _reading(path), suppress(EndOfFile), opened(file, LARGEST_FILE) as stream:
-            found = (each for each in _mcap(stream).iter_metadata() if each.name == NOTES)
-            return next((each.metadata for each in found), {})
+            records = (each for each in _mcap(stream).iter_metadata() if each.name == NOTES)
+            return next((each.metadata for each in records), {})
     return {}  # not MCAP, or it ended before its notes
 
 
@@ -284,11 +284,11 @@ class BagWriter:
         for name, about in self._described.items():
             text, _ = store().generate_msgdef(about['type'], ros_version=2)
             schema = self._writer.register_schema(about['type'], 'ros2msg', text.encode())
-            known = {
+            metadata = {
                 'offered_qos_profiles': json.dumps(about['offered_qos_profiles']),
                 'topic_type_hash': about['type_description_hash'],
             }
-            self._channels[name] = self._writer.register_channel(name, 'cdr', schema, known)
+            self._channels[name] = self._writer.register_channel(name, 'cdr', schema, metadata)
 
     def write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
         """Append a serialised message.

@@ -39,13 +39,13 @@ class OneLineParser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
-    words = list(sys.argv[1:] if argv is None else argv)
+    arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        given = vars(_parser(words).parse_args(words))
-        command = given.pop('command')
+        options = vars(_parser(arguments).parse_args(arguments))
+        command = options.pop('command')
         module = _module(command)
         _report_on_machine_code(command)
-        code: int = module.run(**given)
+        code: int = module.run(**options)
         print(end='', flush=True)  # to nowhere if output is closed
         return code
     except OrbimpcError as error:
@@ -84,7 +84,7 @@ def _end_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
+def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser; import no command but a called one of benchmarks/."""
     parser = OneLineParser(
         prog='orbimpc',
@@ -97,7 +97,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=summary, description=summary, epilog=EXIT_CODES)
         for names, options in arguments:
             sub.add_argument(*names, **options)
-        if name in IN_CLONE and words[:1] == [name]:
+        if name in IN_CLONE and argv[:1] == [name]:
             _module(name).add_arguments(sub)
     return parser
 

@@ -43,7 +43,7 @@ VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
 SPIN = 0.05  # [s]
 # The simulator exits after its flight, and begins once planner and recorder have subscribed.
 OF_A_RUN = {'exit_when_done': True, 'wait_subscribers': 2}
-QUIET, LAST_WORDS = 0.1, 1.0  # [s] of silence that completes a bag, and at most until then
+QUIET, DRAIN = 0.1, 1.0  # [s] of silence that completes a bag, and longest wait for it
 AGAIN = 0.2  # [s] between repetitions of a time on /clock: messages may be lost
 DEPTH = 1000  # a slow disk must not cost messages
 TRIGGER = 'odom'  # a lock-step simulator starts once this topic has its subscribers
@@ -81,9 +81,9 @@ def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    found = {'': tuple(changes)} if changes else VARIANTS.get(scenario, {'': ()})
+    flights = {'': tuple(changes)} if changes else VARIANTS.get(scenario, {'': ()})
     file = settings.config(f'{scenario}.yaml')
-    return {name: settings.resolve(file, variant) for name, variant in found.items()}
+    return {name: settings.resolve(file, variant) for name, variant in flights.items()}
 
 
 def fleet(
@@ -103,12 +103,12 @@ def fleet(
     values = settings.resolve(file, [*PACED, *changes])
     if values['clock'] == 'lockstep':
         raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
-    given = settings.named(changes) - {'seed'}
+    fixed = settings.named(changes) - {'seed'}
     drawn = vehicles(scenario, FLEETS[scenario] if count is None else count, values['seed'])
     if values['avoid']:
         values['avoid'] = tuple(f'{namespace}/plan' for namespace in drawn)
     own = {
-        namespace: {name: value for name, value in each.items() if name not in given}
+        namespace: {name: value for name, value in each.items() if name not in fixed}
         for namespace, each in drawn.items()
     }
     return values, own
@@ -135,11 +135,11 @@ def clearance(flown: Mapping[str, History]) -> bool:
     radius = next(iter(flown.values())).values['avoid_radius']
     if not radius:
         return True
-    _, found = history.separations(flown)
-    for pair, apart in found.items():
+    _, distances = history.separations(flown)
+    for pair, apart in distances.items():
         if min(apart) < radius:
             print(f'COLLISION     {" and ".join(pair)} within {min(apart):.3f} m of each other')
-    least = min(map(min, found.values()), default=math.inf)
+    least = min(map(min, distances.values()), default=math.inf)
     print(f'apart         at least {least:.3f} m, {radius:g} m required')
     return least >= radius
 
@@ -201,8 +201,8 @@ def _progress(ticks: int, values: Values, planners: Mapping[str, Child]) -> str:
     """Return the progress of a flight; before any answer, of the planners' compilation."""
     if ticks:
         return f'tick {ticks} of at most {values["max_ticks"]}'
-    _, found, rest = '\n'.join(each.output for each in planners.values()).rpartition(COMPILING)
-    return found + rest.partition('\n')[0] if found else 'starting nodes'
+    _, compiling, rest = '\n'.join(each.output for each in planners.values()).rpartition(COMPILING)
+    return compiling + rest.partition('\n')[0] if compiling else 'starting nodes'
 
 
 class Pacer:
@@ -312,7 +312,7 @@ class Recorder:
     def drain(self) -> None:
         """Record the last messages, until there is silence, but not for long."""
         heard, last = -1, time.monotonic()
-        end = last + LAST_WORDS
+        end = last + DRAIN
         while (now := time.monotonic()) < min(end, last + QUIET):
             if sum(self.counts.values()) != heard:
                 last, heard = now, sum(self.counts.values())

@@ -30,8 +30,8 @@ def why(error: OSError) -> str:
     """Return the reason why a file or folder cannot be used, in a few words."""
     if isinstance(error, FileNotFoundError):
         return 'no such file'
-    words = error.strerror or str(error)
-    return words[:1].lower() + words[1:]
+    reason = error.strerror or str(error)
+    return reason[:1].lower() + reason[1:]
 
 
 def opened(path: Path, largest: int) -> BinaryIO:
@@ -90,8 +90,8 @@ def read(source: str) -> Any:
         BadInput: the file is not readable, larger than 256 KiB, or malformed.
     """
     name = 'standard input' if source == '-' else source
-    given = nullcontext(sys.stdin.buffer) if source == '-' else opened(Path(source), LARGEST)
-    with given as stream:
+    file = nullcontext(sys.stdin.buffer) if source == '-' else opened(Path(source), LARGEST)
+    with file as stream:
         raw = stream.read(LARGEST + 1)
     try:
         if len(raw) > LARGEST:
@@ -180,16 +180,16 @@ def new_folder(out: str, name: str) -> Path:
 # --- the clone
 
 
-def in_clone(name: str, asked: str) -> ModuleType:
+def in_clone(name: str, culprit: str) -> ModuleType:
     """Return a module of ``benchmarks/``, which is not installed, for this and child processes.
 
     Raises:
-        BadInput: the package is not run from a clone; the error names what was ``asked`` for.
+        BadInput: the package is not run from a clone; ``culprit`` is named in the error.
     """
     if not (CLONE / 'benchmarks' / '__init__.py').is_file():
-        raise BadInput.stating(asked, 'not installed', 'run it from a clone')
+        raise BadInput.stating(culprit, 'not installed', 'run it from a clone')
     if str(CLONE) not in sys.path:
         sys.path.append(str(CLONE))
-        known = os.environ.get('PYTHONPATH')
-        os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), known)))
+        inherited = os.environ.get('PYTHONPATH')
+        os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, (str(CLONE), inherited)))
     return import_module(f'benchmarks.{name}')

@@ -77,8 +77,8 @@ class History:
         These are times, shape (K,) [s], distances from vehicle to rope, (K,) [m], and positions of
         the vehicle and of the rope, (K, 3) [m].
         """
-        known = np.column_stack([self.times, self.positions, self.ropes])
-        rows = _interpolated(steps, np.arange(len(known)), known)
+        samples = np.column_stack([self.times, self.positions, self.ropes])
+        rows = _interpolated(steps, np.arange(len(samples)), samples)
         flown, swung = rows[:, 1:4], rows[:, 4:]
         return rows[:, 0], np.linalg.norm(flown - swung, axis=1), flown, swung
 
@@ -114,12 +114,12 @@ class History:
 
     def series(self, name: str) -> tuple[Array, Array]:
         """Return times [s] and values of a field, of the ticks where it is a finite number."""
-        found = [
+        points = [
             (time - self.times[0], float(fields[name]))
             for time, fields in self.ticks
             if isinstance(fields.get(name), (int, float)) and math.isfinite(fields[name])
         ]
-        times, values = np.reshape(found, (-1, 2)).T
+        times, values = np.reshape(points, (-1, 2)).T
         return times, values
 
 
@@ -135,20 +135,20 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Histor
         BadInput: no bag, or one without odometry and goal.
     """
     values = settings.of_bag(path, namespace, params)
-    found: dict[str, list[Any]] = defaultdict(list)
+    logged: dict[str, list[Any]] = defaultdict(list)
     for each in bags.of_vehicle(path, namespace, WANTED):
-        if each.topic == 'goal' and not each.stamp and found['odom']:  # by hand: dated by odometry
-            each.content.header.stamp = found['odom'][-1].header.stamp
-        found[each.topic].append(each.content)
+        if each.topic == 'goal' and not each.stamp and logged['odom']:  # by hand: dated by odometry
+            each.content.header.stamp = logged['odom'][-1].header.stamp
+        logged[each.topic].append(each.content)
     frames = Frames(thrust_axis=values['thrust_axis'], velocity=values['velocity_frame'])
-    measured = _valid(read_odometry, found['odom'], frames)
-    sighted = _valid(read_sighting, found['goal'], frames)
+    measured = _valid(read_odometry, logged['odom'], frames)
+    sighted = _valid(read_sighting, logged['goal'], frames)
     if not measured or not sighted:
         wrong = 'goal' if measured else 'odom'
         raise BadInput.stating(str(path), f'no valid {wrong}', 'odometry and a goal are needed')
     times, attitudes = measured['time'], measured['attitude']
     plans = [(seconds(m), [point(stamped.pose.position) for stamped in m.poses])
-             for m in found['plan'] if m.poses]  # fmt: skip
+             for m in logged['plan'] if m.poses]  # fmt: skip
     return History(
         times=times,
         positions=measured['position'],
@@ -158,11 +158,11 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Histor
         ropes=_seen(times, sighted, planner_settings(values).goal_timeout),
         plans=tuple((time, np.array(points)) for time, points in plans),
         ticks=tuple(
-            (seconds(m), fields(m)) for m in found['tick'] if m.status and seconds(m) <= times[-1]
+            (seconds(m), fields(m)) for m in logged['tick'] if m.status and seconds(m) <= times[-1]
         ),
-        captured=any(m.data for m in found['captured']),
+        captured=any(m.data for m in logged['captured']),
         values=values,
-        truth=next((fields(m) for m in reversed(found['truth']) if m.status), {}),
+        truth=next((fields(m) for m in reversed(logged['truth']) if m.status), {}),
     ).to_the_catch()
 
 
@@ -174,12 +174,12 @@ def _valid(
     Runs with faults have invalid messages. In lock-step the simulator repeats its messages if an
     answer is late: the last message of each stamp counts.
     """
-    found: dict[int, dict[str, Any]] = {}
+    by_stamp: dict[int, dict[str, Any]] = {}
     for message in messages:
         with suppress(BadInput):
             stamp, value = read(message, 3, frames)
-            found[stamp.nanoseconds] = vars(value)
-    rows = [found[at] for at in sorted(found)]
+            by_stamp[stamp.nanoseconds] = vars(value)
+    rows = [by_stamp[at] for at in sorted(by_stamp)]
     return {name: np.array([row[name] for row in rows]) for row in rows[:1] for name in row}
 
 
@@ -191,9 +191,9 @@ def _seen(at: Array, sighted: Mapping[str, Array], longest: float) -> Array:
     return _interpolated(at, times, np.insert(places, held + 1, places[held], axis=0))
 
 
-def _interpolated(at: Any, known: Any, rows: Array, outside: float | None = None) -> Array:
-    """Return rows, given at known places, at others, interpolated linearly; ``outside`` beyond."""
-    return np.column_stack([np.interp(at, known, x, outside, outside) for x in rows.T])
+def _interpolated(at: Any, places: Any, rows: Array, outside: float | None = None) -> Array:
+    """Return the rows at ``places``, interpolated linearly ``at`` others; ``outside`` beyond."""
+    return np.column_stack([np.interp(at, places, x, outside, outside) for x in rows.T])
 
 
 def separations(flown: Mapping[str, History]) -> tuple[Array, dict[tuple[str, str], Array]]:
@@ -202,13 +202,13 @@ def separations(flown: Mapping[str, History]) -> tuple[Array, dict[tuple[str, st
     It is infinite unless both fly. Motion from one position to the next is linear.
     """
     times = np.unique(np.concatenate([each.times for each in flown.values()]))
-    found = {}
+    distances = {}
     for pair in itertools.combinations(flown, 2):
         both = (flown[name] for name in pair)
-        ways = (_interpolated(times, each.times, each.positions, np.nan) for each in both)
-        apart, _ = closest_approach(*((way[:-1], way[1:]) for way in ways))
-        found[pair] = np.nan_to_num(apart, nan=np.inf)
-    return times, found
+        paths = (_interpolated(times, each.times, each.positions, np.nan) for each in both)
+        apart, _ = closest_approach(*((path[:-1], path[1:]) for path in paths))
+        distances[pair] = np.nan_to_num(apart, nan=np.inf)
+    return times, distances
 
 
 # --- as text
@@ -253,8 +253,8 @@ def _incidents(flight: History) -> Iterator[str]:
     times, apart, _, _ = flight.at(flight.near_misses)
     if len(times):
         missed = zip(apart, times - flight.times[0], strict=True)
-        told = ', '.join(f'{distance:.2f} m at {time:.1f} s' for distance, time in missed)
-        yield f'{len(times)} near misses: {told}'
+        descriptions = ', '.join(f'{distance:.2f} m at {time:.1f} s' for distance, time in missed)
+        yield f'{len(times)} near misses: {descriptions}'
     if flight.truth.get('touched'):
         yield f'touched {touched_in_words(flight.truth["touched"], len(flight.boxes))}'
     if settings.of_sim(flight.values)['stall_speed'] and 'least_airspeed' in flight.truth:
@@ -266,8 +266,8 @@ def story(flown: Mapping[str, History]) -> str:
     """Return a headline on how flights ended: a line for each, or one for a fleet."""
     if len(flown) > 2:
         return f'{sum(each.captured for each in flown.values())} of {len(flown)} reached the goal'
-    told = (f'{name.replace("_", " ")}: {ending(each)}' for name, each in flown.items())
-    return '\n'.join(line.removeprefix(': ').capitalize() for line in told)
+    headlines = (f'{name.replace("_", " ")}: {ending(each)}' for name, each in flown.items())
+    return '\n'.join(line.removeprefix(': ').capitalize() for line in headlines)
 
 
 def lines(rows: Mapping[str, str]) -> str:

@@ -82,49 +82,49 @@ def vehicle() -> LaunchDescription:
 
 def _simulated(several: bool, context: LaunchContext) -> list[Action]:
     """Return planners, simulators, and a recorder: of a fleet, or of a scenario's one vehicle."""
-    asked = context.launch_configurations
-    _settled(asked, 'fleet' if several else asked['scenario'])
-    clock, told = ('wall', AUTO) if several else (asked['clock'], asked['use_sim_time'].lower())
-    lockstep, recorded = clock == 'lockstep', asked['record'] == 'true'
-    planner: Values = {'use_sim_time': lockstep if told == AUTO else told == 'true'}
+    config = context.launch_configurations
+    _settled(config, 'fleet' if several else config['scenario'])
+    clock, timed = ('wall', AUTO) if several else (config['clock'], config['use_sim_time'].lower())
+    lockstep, recorded = clock == 'lockstep', config['record'] == 'true'
+    planner: Values = {'use_sim_time': lockstep if timed == AUTO else timed == 'true'}
     if lockstep:  # a timer would deadlock: simulated time waits for the planner's answers
         planner = {**planner, 'trigger': 'odom'}
-    common: Values = {'clock': clock, 'exit_when_done': asked['exit_when_done'] == 'true'}
+    common: Values = {'clock': clock, 'exit_when_done': config['exit_when_done'] == 'true'}
     if recorded:  # the flight waits for the recorder's subscriptions
         common = {**common, 'wait_for': RECORDED}
-    drawn = vehicles('fleet', int(asked['vehicles']), int(asked['seed'])) if several else {'': {}}
+    drawn = vehicles('fleet', int(config['vehicles']), int(config['seed'])) if several else {'': {}}
     planners, sims = [], []
     for namespace, own in drawn.items():
-        where = _outer(asked) + namespace
+        where = _outer(config) + namespace
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in own.items()}
-        planners.append(_node(asked, 'planner', where, planner))
-        sims.append(_node(asked, 'sim', where, {**common, **values}))
-    words = ['ros2', 'bag', 'record', '--storage', 'mcap', '--all']
-    recorders = [ExecuteProcess(cmd=words, output='screen')] if recorded else []
+        planners.append(_node(config, 'planner', where, planner))
+        sims.append(_node(config, 'sim', where, {**common, **values}))
+    command = ['ros2', 'bag', 'record', '--storage', 'mcap', '--all']
+    recorders = [ExecuteProcess(cmd=command, output='screen')] if recorded else []
     return [*recorders, *planners, *sims, *_ending(sims, [*planners, *recorders])]
 
 
 def _pilot(context: LaunchContext) -> list[Action]:
-    asked = context.launch_configurations
-    _settled(asked, asked['autopilot'])
-    topics, dry_run = AUTOPILOTS[asked['autopilot']], asked['dry_run'] == 'true'
-    planner = _node(asked, 'planner', _outer(asked), {'dry_run': dry_run}, [*topics.items()])
+    config = context.launch_configurations
+    _settled(config, config['autopilot'])
+    topics, dry_run = AUTOPILOTS[config['autopilot']], config['dry_run'] == 'true'
+    planner = _node(config, 'planner', _outer(config), {'dry_run': dry_run}, [*topics.items()])
     return [planner, *_ending([], [planner])]
 
 
-def _settled(asked: dict[str, str], default: str) -> None:
+def _settled(config: dict[str, str], default: str) -> None:
     """Resolve the parameter file; refuse a missing one, which launch would ignore."""
-    file = asked['params_file'] = asked['params_file'] or str(_configs() / f'{default}.yaml')
+    file = config['params_file'] = config['params_file'] or str(_configs() / f'{default}.yaml')
     if not Path(file).is_file():
         raise BadInput.stating(file, 'no such file', 'params_file must name a parameter file')
 
 
-def _outer(asked: Mapping[str, str]) -> str:
-    return f'/{asked["namespace"].strip("/")}'.rstrip('/')
+def _outer(config: Mapping[str, str]) -> str:
+    return f'/{config["namespace"].strip("/")}'.rstrip('/')
 
 
 def _node(
-    asked: Mapping[str, str],
+    config: Mapping[str, str],
     name: str,
     namespace: str,
     parameters: Values,
@@ -136,7 +136,7 @@ def _node(
         executable=name,
         name=name,
         output='screen',
-        parameters=[Path(asked['params_file']), parameters],
+        parameters=[Path(config['params_file']), parameters],
         remappings=remappings,
     )
 
@@ -183,9 +183,9 @@ def _common(file: str, whose: str) -> list[DeclareLaunchArgument]:
 def _argument(
     name: str, default: str | None, description: str, choices: Iterable[str] | None = None
 ) -> DeclareLaunchArgument:
-    known = None if choices is None else list(choices)
+    allowed = None if choices is None else list(choices)
     return DeclareLaunchArgument(
-        name, default_value=default, description=description, choices=known
+        name, default_value=default, description=description, choices=allowed
     )
 
 

@@ -65,14 +65,14 @@ class OfflinePlanner(Core):
     @property
     def stamp(self) -> int | None:
         """Return the stamp of the odometry for the next plan [ns]; None if an input is missing."""
-        known = None if self.inputs.missing else self.inputs.odometry
-        return None if known is None else known.stamp.nanoseconds
+        last = None if self.inputs.missing else self.inputs.odometry
+        return None if last is None else last.stamp.nanoseconds
 
     def messages(self, decision: Decision, stamp: int) -> dict[str, Any]:
         """Return a decision as messages by topic, with the stamp of the odometry [ns]."""
-        known = self.inputs.odometry
-        at = Stamp(stamp, self.settings.frames if known is None else known.stamp.frames)
-        commands = command_messages(self.settings, at, decision.command, oriented=known is not None)
+        last = self.inputs.odometry
+        at = Stamp(stamp, self.settings.frames if last is None else last.stamp.frames)
+        commands = command_messages(self.settings, at, decision.command, oriented=last is not None)
         return dict([*commands, *report_messages(self.settings, at, decision, self._node)])
 
     # --- on board a flight in this process, at times since its start
@@ -155,16 +155,16 @@ def flown(study: str, controller: str, index: int, values: settings.Values) -> R
         vehicle in an engine, its least ``airspeed`` [m/s] and the largest magnitude of each
         quantity that the engine reports, such as its ``bank`` [rad].
     """
-    simulated, given = sim_settings(settings.of_sim(values)), planner_settings(values)
+    simulated, planning = sim_settings(settings.of_sim(values)), planner_settings(values)
     pilot: Any = None  # this package's planner
     if controller != OURS:
-        pilot = baselines().baseline_named(controller, given, study)
+        pilot = baselines().baseline_named(controller, planning, study)
     # Ticks are measured in processor time, because other processes may load the machine.
-    planner = OfflinePlanner(given, clock=time.thread_time, planner=pilot)
-    way, ticks, failed = list[Flight](), list[Decision](), ''
+    planner = OfflinePlanner(planning, clock=time.thread_time, planner=pilot)
+    steps, ticks, failed = list[Flight](), list[Decision](), ''
     try:
         for flight, decision in closed_loop(planner, simulated):
-            way.append(flight)
+            steps.append(flight)
             if flight.over or flight.touched:
                 break
             if decision is not None:
@@ -186,14 +186,14 @@ def flown(study: str, controller: str, index: int, values: settings.Values) -> R
         'unplanned': sum(decision.fallback is not Fallback.NONE for decision in ticks),
         'p50_ms': float(np.median(spent)),
         'longest_ms': max(spent),
-        'closest': min(each.miss for each in way),
+        'closest': min(each.miss for each in steps),
         'stalls': flight.stalls,
     }
     if simulated.finish == 'arrival':
         row |= {'missed': flight.distance, 'speed': flight.speed}
     if flight.vehicle.engine is not None:
         row['airspeed'] = flight.least_airspeed
-        trail = (vehicle.facts for each in way for vehicle in each.trail if not vehicle.caught)
+        trail = (vehicle.facts for each in steps for vehicle in each.trail if not vehicle.caught)
         for name, value in chain.from_iterable(facts.items() for facts in trail):
             row[name] = max(row.get(name, 0.0), abs(value))
     return row

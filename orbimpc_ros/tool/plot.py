@@ -243,8 +243,8 @@ def distance(flown: Flights) -> Panel:
 
 def separation(flown: Flights) -> Panel:
     """Return the chart of the least distance between two vehicles since the previous odometry."""
-    times, found = separations(flown)
-    least = np.min([*found.values()], axis=0)
+    times, distances = separations(flown)
+    least = np.min([*distances.values()], axis=0)
     radius = next(iter(flown.values())).values['avoid_radius']
     line = times[1:] - times[0], np.where(np.isfinite(least), least, np.nan)
     return Panel('Closest pair', 'm', {'_': line}, {f'{radius:g} m required': radius})
@@ -254,12 +254,12 @@ def shares(flown: Flights) -> Panel:
     """Return the chart of commanded shares of full speed or thrust, |R e1|, and of the floor."""
     lines, first = {}, next(iter(flown.values())).values
     for name, each in flown.items():
-        found = [
+        points = [
             (time - each.times[0], fields['speed_fraction'][1])
             for time, fields in each.ticks
             if len(fields.get('speed_fraction') or ()) > 1 and time <= each.times[-1]
         ]
-        lines[_label(name, flown)] = tuple(np.reshape(found, (-1, 2)).T)
+        lines[_label(name, flown)] = tuple(np.reshape(points, (-1, 2)).T)
     what = 'thrust' if first['translation_order'] == 2 else 'speed'
     floors = {k: v for each in flown.values() for k, v in _floor(each.values).items()}
     return Panel(f'Share of full {what}, |R e₁|', '', lines, floors, steps=True)
@@ -304,7 +304,7 @@ def motion(history: History) -> list[Panel]:
     moved['speed'] = times, np.linalg.norm(history.velocities, axis=1)
     limited = values['translation_order'] == 1
     limits = {'full speed': full} | _floor(values, full) if limited else {}
-    found = [
+    panels = [
         Panel('Position', 'm', along(history.positions)),
         Panel('Velocity', 'm/s', moved, limits),
         Panel('Body rates', 'rad/s', along(history.rates, 0 if n == 3 else 2, 3)),
@@ -312,8 +312,8 @@ def motion(history: History) -> list[Panel]:
     if values['gravity']:
         angles = np.degrees(np.arccos(np.clip(history.attitudes[:, 2, 0], -1.0, 1.0)))
         limits = {'largest': math.degrees(values['tilt'])} if values['tilt'] else {}
-        found.append(Panel('Tilt from the vertical', 'deg', {'_': (times, angles)}, limits))
-    return found
+        panels.append(Panel('Tilt from the vertical', 'deg', {'_': (times, angles)}, limits))
+    return panels
 
 
 def planning(history: History) -> list[Panel]:
@@ -324,7 +324,7 @@ def planning(history: History) -> list[Panel]:
     fallen = replace(history, ticks=tuple(t for t in history.ticks if t[1].get('fallback')))
     spent = {'planned': line('solve_time_ms'), 'fell back': fallen.series('solve_time_ms')}
     costs = {'plan': line('objective'), 'proved bound': line('lower_bound')}
-    found = [
+    panels = [
         Panel('Objective', '', costs, steps=True),
         Panel('Gap of plan and bound', '', {'_': line('gap')}, below, steps=True, log=True),
         Panel('Time of each tick', 'ms', spent, steps=True, log=True),
@@ -332,8 +332,8 @@ def planning(history: History) -> list[Panel]:
     ]
     catches = {'catch of the plan': line('earliest_catch'), 'none before': line('catch_bound')}
     if len(catches['none before'][0]):
-        found.append(Panel('Time to the catch', 's', catches, steps=True))
-    return found
+        panels.append(Panel('Time to the catch', 's', catches, steps=True))
+    return panels
 
 
 # --- animation

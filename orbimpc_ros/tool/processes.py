@@ -41,17 +41,17 @@ class Child(subprocess.Popen):
 
     Args:
         name: for error messages.
-        words: the program to run, and its arguments.
+        command: the program to run, and its arguments.
         log: for the output of the process.
     """
 
-    def __init__(self, name: str, words: Sequence[str], log: Path) -> None:
+    def __init__(self, name: str, command: Sequence[str], log: Path) -> None:
         self._name, self._log = name, log
         tether = TETHER if shutil.which(TETHER[0]) else ()
         with log.open('wb') as stream:
             # In its own session: Ctrl-C reaches only the tool, which then stops its children.
             super().__init__(
-                [*tether, *words],
+                [*tether, *command],
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,
@@ -100,9 +100,9 @@ class Processes(list[Child]):
 
         It has a file of ROS parameters, and a namespace, such as ``/uav1``.
         """
-        words = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
-        words += ['-r', f'__ns:={namespace}'] if namespace else []
-        self.append(Child(module.rpartition('.')[2], words, log))
+        command = [sys.executable, '-m', module, '--ros-args', '--params-file', str(parameters)]
+        command += ['-r', f'__ns:={namespace}'] if namespace else []
+        self.append(Child(module.rpartition('.')[2], command, log))
         return self[-1]
 
 

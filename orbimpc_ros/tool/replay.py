@@ -47,8 +47,8 @@ SPEED, RATE, ANGLE = 1e-4, 1e-3, 1e-3  # of full speed or thrust; [rad/s]; [rad]
 OBJECTIVE, ROUNDING = 1e-6, 1e-7  # relative; absolute near zero
 UNITS = {'speed': 'm/s', 'force': 'N', 'body_rate': 'rad/s', 'rotation': 'rad'}
 PLANNED = Status.OPTIMAL, Status.FEASIBLE
-WORDS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
-QUANTITIES = (*WORDS, 'speed', 'force', *TURNS, 'objective', 'gap')
+TEXTS, TURNS = ('status', 'fallback'), ('body_rate', 'rotation')
+QUANTITIES = (*TEXTS, 'speed', 'force', *TURNS, 'objective', 'gap')
 
 
 def run(
@@ -58,21 +58,21 @@ def run(
     begun, path = time.perf_counter(), Path(bag)
     recording = recording_of(path, namespace, params, changes, tick)
     answers = list(replayed(recording))
-    found = list(compared(answers, recording.settings))
+    comparisons = list(compared(answers, recording.settings))
     if tick is not None:
-        found = [each for each in found if each.tick == tick]
-        _show(answers[-1], found)
+        comparisons = [each for each in comparisons if each.tick == tick]
+        _show(answers[-1], comparisons)
     else:
         received = sum(each.topic != CLOCK for each in recording.inputs)
         inputs = f'{received}, {sum(len(each.refusals) for each in answers)} refused'
         took = f'in {time.perf_counter() - begun:.2f} s'
-        _sum_up(f'{len(answers)} ticks of {path} {took}', inputs, found)
-    return int(any(each.differs for each in found))
+        _sum_up(f'{len(answers)} ticks of {path} {took}', inputs, comparisons)
+    return int(any(each.differs for each in comparisons))
 
 
-def _sum_up(replayed: str, inputs: str, found: Sequence[Comparison]) -> None:
+def _sum_up(replayed: str, inputs: str, comparisons: Sequence[Comparison]) -> None:
     """Print the first differences, and a summary by quantity."""
-    differences = [each for each in found if each.differs]
+    differences = [each for each in comparisons if each.differs]
     for each in differences[:LINES]:
         print(each)
     if len(differences) > LINES:
@@ -80,7 +80,7 @@ def _sum_up(replayed: str, inputs: str, found: Sequence[Comparison]) -> None:
     worst = {each.quantity: each for each in sorted(differences, key=lambda each: each.apart)}
     ticks = len({each.tick for each in differences})
     parts = ', '.join(f'{name} at tick {each.tick}' for name, each in worst.items())
-    counts = Counter(each.quantity for each in found)
+    counts = Counter(each.quantity for each in comparisons)
     rows = {
         'replayed': replayed,
         'inputs': inputs,
@@ -90,12 +90,12 @@ def _sum_up(replayed: str, inputs: str, found: Sequence[Comparison]) -> None:
     print(history.lines(rows))
 
 
-def _show(tick: ReplayedTick, found: Sequence[Comparison]) -> None:
+def _show(tick: ReplayedTick, comparisons: Sequence[Comparison]) -> None:
     """Print one tick, recorded and replayed side by side."""
-    title = f'tick {found[0].tick} at {found[0].time:.3f} s'
+    title = f'tick {comparisons[0].tick} at {comparisons[0].time:.3f} s'
     width = max(20, len(title) + 2)  # of a date more than of simulated time
     print(f'{title:<{width}}{"recorded":<26}replayed')
-    for each in found:
+    for each in comparisons:
         unit = f' [{UNITS[each.quantity]}]' if each.quantity in UNITS else ''
         mark = '  differs' if each.differs else ''
         pair = f'{shown(each.recorded, 4):<26}{shown(each.replayed, 4)}'
@@ -116,16 +116,16 @@ def published(messages: Messages) -> Answer:
     The latter has the ``speed`` [m/s], ``body_rate``, shape (3,) [rad/s], ``force`` [N] and
     ``rotation``, a quaternion, shape (4,).
     """
-    found: Answer = {}
+    values: Answer = {}
     if 'cmd_vel' in messages:
         twist = messages['cmd_vel'].twist
-        found |= {'speed': pushed(twist.linear), 'body_rate': point(twist.angular)}
+        values |= {'speed': pushed(twist.linear), 'body_rate': point(twist.angular)}
     if 'cmd_thrust' in messages:
-        found['force'] = pushed(messages['cmd_thrust'].wrench.force)
+        values['force'] = pushed(messages['cmd_thrust'].wrench.force)
     if 'rotation' in messages:
         q = messages['rotation'].quaternion
-        found['rotation'] = np.array([q.w, q.x, q.y, q.z])
-    return found | (fields(messages['tick']) if 'tick' in messages else {})
+        values['rotation'] = np.array([q.w, q.x, q.y, q.z])
+    return values | (fields(messages['tick']) if 'tick' in messages else {})
 
 
 @dataclass(frozen=True)
@@ -189,9 +189,9 @@ def recording_of(
     values = settings.changed(values, changes, simulated=False)
     planner = planner_settings(values)
     read = (*INPUTS, *COMPARED, CLOCK, *TRANSFORMS, *others(planner, resolving(namespace)))
-    found = bags.of_vehicle(path, namespace, read, NEEDED)
-    inputs = tuple(each for each in found if each.topic not in COMPARED)
-    outputs = (each for each in found if each.topic in COMPARED)
+    messages = bags.of_vehicle(path, namespace, read, NEEDED)
+    inputs = tuple(each for each in messages if each.topic not in COMPARED)
+    outputs = (each for each in messages if each.topic in COMPARED)
     answers = sorted(_answers(outputs), key=lambda each: each.sent)
     if tick is not None and not 0 <= tick < len(answers):
         raise BadInput('--tick', tick, f'0 to {len(answers) - 1}')
@@ -210,8 +210,8 @@ def _answers(sent: Iterable[Message]) -> Iterator[RecordedTick]:
         groups[-1][each.topic] = each
     for stamp, groups in by_stamp.items():
         for before, now in itertools.pairwise(groups):
-            known = {topic: each.data for topic, each in before.items()}
-            if any(known.get(topic) != each.data for topic, each in now.items()):
+            earlier = {topic: each.data for topic, each in before.items()}
+            if any(earlier.get(topic) != each.data for topic, each in now.items()):
                 contents = {topic: each.content for topic, each in now.items()}
                 begun = min(each.sent for each in now.values())
                 yield RecordedTick(stamp, begun, published(contents))
@@ -232,12 +232,12 @@ class ReplayedTick:
 
 def replayed(recording: Recording) -> Iterator[ReplayedTick]:
     """Yield a tick for each that was recorded, with inputs as the planner received them."""
-    known, simulated = recording.settings, recording.simulated
-    planner = OfflinePlanner(known, f'{recording.namespace}/planner')
-    planner.inputs.lag = known.step if simulated else 0.0
+    settings, simulated = recording.settings, recording.simulated
+    planner = OfflinePlanner(settings, f'{recording.namespace}/planner')
+    planner.inputs.lag = settings.step if simulated else 0.0
     # Whether a goal could be transformed is not recorded.
-    frame = '' if known.tf or known.transforms else known.frame_id
-    probed = replace(known, goal_prediction='hold', frame_id=frame)
+    frame = '' if settings.tf or settings.transforms else settings.frame_id
+    probed = replace(settings, goal_prediction='hold', frame_id=frame)
     inputs, clock, counts = list(recording.inputs), None, dict[str, int]()
     for recorded in recording.answers:
         sent = inputs[: bisect_right(inputs, recorded.sent, key=lambda each: each.sent)]
@@ -258,7 +258,7 @@ def replayed(recording: Recording) -> Iterator[ReplayedTick]:
         answer = published(planner.messages(decision, recorded.stamp))
         delay = recorded.answer.get('sent', delay)
         at = (recorded.stamp + round(delay * SECOND)) / SECOND
-        planner.planner.sent(recorded_command(known, decision.command, recorded.answer), at)
+        planner.planner.sent(recorded_command(settings, decision.command, recorded.answer), at)
         yield ReplayedTick(recorded, answer, tuple(filter(None, refusals)), decision)
 
 
@@ -290,7 +290,7 @@ def recorded_command(settings: PlannerSettings, command: Command, answer: Answer
 
 
 def _lost(
-    came: Sequence[Message], before: Answer, now: Answer, known: PlannerSettings
+    came: Sequence[Message], before: Answer, now: Answer, settings: PlannerSettings
 ) -> list[Message]:
     """Return the goals that the planner never received, from its counts ``before`` and ``now``.
 
@@ -298,7 +298,7 @@ def _lost(
     """
     lost: list[Message] = []
     for topic in now.keys() & GOALS:
-        probe, goals = Inputs(known), [each for each in came if each.topic == topic]
+        probe, goals = Inputs(settings), [each for each in came if each.topic == topic]
         good = [each for each in goals if not probe.update(topic, each.content, 0.0)]
         lost += good[: max(0, len(good) - (now[topic] - before.get(topic, 0)))]
     return lost
@@ -314,8 +314,8 @@ def _until(sent: Sequence[Message], recorded: RecordedTick) -> dict[str, int]:
 
     def last(topic: str, stamp: int | None) -> int:
         """Return when the last message with a stamp was sent [ns]; -1 if there is none."""
-        found = (each.sent for each in sent if each.topic == topic and each.stamp == stamp)
-        return max(found, default=-1)
+        times = (each.sent for each in sent if each.topic == topic and each.stamp == stamp)
+        return max(times, default=-1)
 
     measured = last('odom', recorded.stamp)
     # If times are mere stamps, a solve seems to take no time: inputs before the odometry count.
@@ -388,12 +388,12 @@ def tolerance(quantity: str, settings: PlannerSettings, *answers: Answer) -> flo
     proved = all(each.get('bound_checked', True) for each in answers)
     if quantity in ('status', 'gap') and planned and not proved:
         return math.inf
-    known = len(gaps) == len(answers)
-    if quantity == 'status' and planned and known:
+    complete = len(gaps) == len(answers)
+    if quantity == 'status' and planned and complete:
         at_the_limit = min(gaps) <= least_gap < max(gaps) <= min(gaps) + least_gap
         return math.inf if at_the_limit else 0.0
     if quantity == 'gap':
-        left_open = known and all(least_gap < gap < math.inf for gap in gaps)
+        left_open = complete and all(least_gap < gap < math.inf for gap in gaps)
         return math.inf if left_open else least_gap
     if quantity == 'objective':  # searches may end at different plans within their gaps
         return max(OBJECTIVE, min(max(gaps, default=0.0), least_gap))
@@ -411,7 +411,7 @@ def distance(quantity: str, before: Any, now: Any, step: float) -> float:
     """Return the distance between two values of a quantity; body rates are held for a step [s]."""
     if now is None:
         return math.inf
-    if quantity in WORDS:
+    if quantity in TEXTS:
         return 0.0 if before == now else math.inf
     if quantity == 'rotation':
         return _turned(before, now)

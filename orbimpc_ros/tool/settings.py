@@ -59,20 +59,20 @@ def changed(values: Values, changes: Sequence[str], *, simulated: bool = True) -
     Raises:
         BadInput: an unknown name, or a value or combination that is not allowed.
     """
-    found, given = dict(values), Values()
+    merged, overrides = dict(values), Values()
     for change in changes:
         name, equals, word = map(str.strip, change.partition('='))
         if not equals:
             raise BadInput('--set', change, 'name=value')
         if name not in ROWS:
             raise BadInput.unknown('parameter', name, ROWS, '--set')
-        given[name] = ROWS[name].typed(files.parse(word, f'--set {name}'))
-        found.pop(f'{OF_SIM}{name}', None)  # a value for both nodes replaces the simulator's own
-    found |= given
-    planner_settings(found)
+        overrides[name] = ROWS[name].typed(files.parse(word, f'--set {name}'))
+        merged.pop(f'{OF_SIM}{name}', None)  # a value for both nodes replaces the simulator's own
+    merged |= overrides
+    planner_settings(merged)
     if simulated:
-        sim_settings(of_sim(found))
-    return found
+        sim_settings(of_sim(merged))
+    return merged
 
 
 def of_sim(values: Values) -> Values:
@@ -141,21 +141,21 @@ def parameters_of(content: Any, name: str, namespace: str = '') -> Iterator[tupl
     Raises:
         BadInput: not parameters, an unknown name, or a value of another type.
     """
-    found = sections(content, name)
-    if found and all(title.endswith('/sim') for title, _ in found):
+    entries = sections(content, name)
+    if entries and all(title.endswith('/sim') for title, _ in entries):
         raise BadInput.stating(name, 'for the simulator alone', 'add a section "/**/planner"')
-    for title, section in found:
+    for title, section in entries:
         place, _, node = title.rpartition('/')
         if namespace and place not in ('', '/**', namespace):
             continue
-        for given, value in _flat(section):
-            known = f'{OF_SIM}{given}' if node == 'sim' and f'{OF_SIM}{given}' in ROWS else given
-            if known in ROWS:
-                yield known, ROWS[known].typed(value)
-            elif given in OF_ROS:
-                yield given, value
-            elif not given.startswith('qos_overrides.'):
-                raise BadInput.unknown('parameter', given, ROWS, name)
+        for field, value in _flat(section):
+            key = f'{OF_SIM}{field}' if node == 'sim' and f'{OF_SIM}{field}' in ROWS else field
+            if key in ROWS:
+                yield key, ROWS[key].typed(value)
+            elif field in OF_ROS:
+                yield field, value
+            elif not field.startswith('qos_overrides.'):
+                raise BadInput.unknown('parameter', field, ROWS, name)
 
 
 def _flat(tree: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:

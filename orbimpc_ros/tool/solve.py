@@ -46,11 +46,11 @@ def run(
             raise Infeasible(f'{error}; {WORD}') from None
         _write(certificate, refuted)
         raise
-    found = answer(case, plan, 1e3 * (time.perf_counter() - begin))
+    values = answer(case, plan, 1e3 * (time.perf_counter() - begin))
     if as_json or not (sys.stdout and sys.stdout.isatty()):
-        print(json.dumps(found, indent=1, allow_nan=False))
+        print(json.dumps(values, indent=1, allow_nan=False))
     else:
-        print(table(case, plan, found))
+        print(table(case, plan, values))
     if certificate:
         _write(certificate, document.certificate_of(*case.known, plan.proof))
     return 0
@@ -84,9 +84,9 @@ def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:
     }
 
 
-def table(case: Case, plan: Plan, found: dict[str, Any]) -> str:
+def table(case: Case, plan: Plan, values: dict[str, Any]) -> str:
     """Return a plan as text: its quality, the command, and a line for each step."""
-    problem, bound, command = case.problem, found['lower_bound'], found['command']
+    problem, bound, command = case.problem, values['lower_bound'], values['command']
     least = 'unknown' if bound is None else f'{bound:.6g}'
     gap = 'unknown' if bound is None else f'{100.0 * plan.gap:.2g} %' if plan.gap >= 1e-6 else '0 %'
     turn = ', '.join(f'{math.degrees(each):.1f}' for each in command['body_rate'])
@@ -101,7 +101,7 @@ def table(case: Case, plan: Plan, found: dict[str, Any]) -> str:
     lines = [
         f'status      {plan.status}, gap {gap}',
         f'cost        {plan.objective:.6g}, at least {least}',
-        f'solved in   {found["solve_time_ms"]:.1f} ms, {plan.proof.nodes} nodes',
+        f'solved in   {values["solve_time_ms"]:.1f} ms, {plan.proof.nodes} nodes',
         f'command     {command["speed_fraction"]:.3f} of full {full}, turn at {turn} deg/s',
         '',
     ]

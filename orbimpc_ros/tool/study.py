@@ -125,16 +125,16 @@ def _folder(out: str | None, name: str) -> Path:
     return folder
 
 
-def _controllers(given: str) -> list[str]:
-    names = given.split(',')
-    known = [OURS] if names == [OURS] else [OURS, *baselines().BASELINES]
-    if not {*names} <= {*known} or len({*names}) < len(names):
-        raise BadInput('--controllers', given, f'each of {",".join(known)} at most once')
+def _controllers(listed: str) -> list[str]:
+    names = listed.split(',')
+    available = [OURS] if names == [OURS] else [OURS, *baselines().BASELINES]
+    if not {*names} <= {*available} or len({*names}) < len(names):
+        raise BadInput('--controllers', listed, f'each of {",".join(available)} at most once')
     return names
 
 
 def _fly(
-    known: dict[Key, Row],
+    rows: dict[Key, Row],
     jobs: Sequence[Job],
     file: Path,
     total: int,
@@ -150,7 +150,7 @@ def _fly(
     ):
         progress.show(done, f'{done} of {total} flights')
         for row in each_flown(pool, jobs, lambda: not received):
-            known[row['controller'], row['index']] = row
+            rows[row['controller'], row['index']] = row
             out.write(json.dumps(row) + '\n')
             done += 1
             progress.show(done, f'{done} of {total} flights')
@@ -177,8 +177,8 @@ def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Ro
     kept: dict[Key, Row] = {}
     if resumed:
         try:
-            whole = file.read_text().rpartition('\n')[0]
-            head, *rows = map(json.loads, whole.splitlines())
+            text = file.read_text().rpartition('\n')[0]
+            head, *rows = map(json.loads, text.splitlines())
             differ = [n for n in about if head.get(n) != json.loads(json.dumps(about[n]))]
             kept = {(row['controller'], row['index']): row for row in rows}
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
@@ -309,8 +309,8 @@ def _file(name: str) -> Path:
     for file in (Path(name), studies / f'{name}.yaml', studies.parent / f'{name}.yaml'):
         if file.is_file():
             return file
-    known = ', '.join(sorted(file.stem for file in studies.glob('*.yaml')))
-    raise BadInput('FILE', name, f'a parameter file, or one of {known}')
+    names = ', '.join(sorted(file.stem for file in studies.glob('*.yaml')))
+    raise BadInput('FILE', name, f'a parameter file, or one of {names}')
 
 
 def _content(file: Path, *above: Path) -> Values:
@@ -325,17 +325,17 @@ def _content(file: Path, *above: Path) -> Values:
         vehicle = ['vehicle=continuous'] if lags and 'vehicle' not in stated else []
         about = f'goals all around, as in {file.name}'
         return {'about': about, 'config': file, 'set': vehicle, 'draw': None}
-    known = fields_of(content, str(file), FIELDS)
+    fields = fields_of(content, str(file), FIELDS)
     for name, kind in FIELDS.items():
-        if not isinstance(known[name], kind):
-            raise BadInput(f'{file}: {name}', known[name], f'a {kind.__name__}')
-    named = known['config']
+        if not isinstance(fields[name], kind):
+            raise BadInput(f'{file}: {name}', fields[name], f'a {kind.__name__}')
+    named = fields['config']
     base = file.parent / named if '/' in named else config(named)
     if base.resolve() in (file.resolve(), *above):
         raise BadInput(f'{file}: config', named, 'a file that is not based on this one')
     below = _content(base, file.resolve(), *above)
-    rules, changes = (below['draw'] or {}) | known['draw'], below['set'] + known['set']
-    return {'about': known['about'], 'config': below['config'], 'set': changes, 'draw': rules}
+    rules, changes = (below['draw'] or {}) | fields['draw'], below['set'] + fields['set']
+    return {'about': fields['about'], 'config': below['config'], 'set': changes, 'draw': rules}
 
 
 def _default_rules(values: Values) -> dict[str, Rule]:
@@ -413,14 +413,14 @@ def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
     """Return position, velocity and radius of a disc that starts clear of the origin."""
     for _ in range(MOST_TRIES):
         x, y, _ = _drawn(rule['at'], rng)
-        when, way = rng.uniform(*rule['when']), rng.uniform(-math.pi, math.pi)
+        when, heading = rng.uniform(*rule['when']), rng.uniform(-math.pi, math.pi)
         speed, radius = rng.uniform(*rule['speed']), float(rng.uniform(*rule['radius']))
-        u, v = speed * math.cos(way), speed * math.sin(way)
+        u, v = speed * math.cos(heading), speed * math.sin(heading)
         begin = float(x - when * u), float(y - when * v)
         if math.hypot(*begin) > rule['clear'] + radius:
             return [*begin, float(u), float(v), radius]
-    found = f'no body starts {rule["clear"]} m clear of the origin'
-    raise BadInput.stating('draw: traffic', found, 'let them start farther away')
+    problem = f'no body starts {rule["clear"]} m clear of the origin'
+    raise BadInput.stating('draw: traffic', problem, 'let them start farther away')
 
 
 # --- the report

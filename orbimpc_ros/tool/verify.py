@@ -61,10 +61,10 @@ class Row(NamedTuple):
 def run(path: str, problem: str | None, **of_bag: Any) -> int:
     """Verify, print a row for each bound, and return 1 if one of them does not hold."""
     of_file, counts = path.endswith('.json'), Counter[str]()
-    for name, given in of_bag.items() if of_file else [('problem', problem)]:
-        if given not in (None, ''):
+    for name, value in of_bag.items() if of_file else [('problem', problem)]:
+        if value not in (None, ''):
             source = 'a bag' if of_file else 'a certificate, FILE.json'
-            raise BadInput(f'--{name}', given, f'only with {source}')
+            raise BadInput(f'--{name}', value, f'only with {source}')
     for row in [_file(Path(path), problem)] if of_file else _bag(Path(path), **of_bag):
         if not counts:  # no header above an error about the file
             print(f'{"" if of_file else "  tick  "}{"of":<7}{"claimed":<24}{"proved":<24}leaves')
@@ -77,29 +77,29 @@ def run(path: str, problem: str | None, **of_bag: Any) -> int:
 def _file(path: Path, problem: str | None) -> Row:
     try:
         with files.opened(path, LARGEST) as stream:
-            known = document.parsed(stream.read())
-        row = _verified(None, known)
+            certificate = document.parsed(stream.read())
+        row = _verified(None, certificate)
     except document.Refused as error:
         raise BadInput.stating('certificate', 'refused', str(error)) from None
-    if problem and not _is_of(known, case_of(files.read(problem))):
+    if problem and not _is_of(certificate, case_of(files.read(problem))):
         raise BadInput.stating('certificate', 'refused', f'it is not for {problem}')
     return row
 
 
-def _is_of(known: Any, case: Case) -> bool:
+def _is_of(proof: Any, case: Case) -> bool:
     """Return whether a certificate belongs to a case: problem, state and goals."""
     made = document.statement(*case.known)
-    if 'refuted' in known:
-        known = {**known, 'refuted': {**known['refuted'], 'trees': []}}
-        made = refutation(replace(case, radius=known['refuted'].get('radius', 0.0)), ())
+    if 'refuted' in proof:
+        proof = {**proof, 'refuted': {**proof['refuted'], 'trees': []}}
+        made = refutation(replace(case, radius=proof['refuted'].get('radius', 0.0)), ())
     unlimited: dict[str, Any] = {'limits': {}}
-    return {name: (unlimited | known).get(name) for name in unlimited | made} == unlimited | made
+    return {name: (unlimited | proof).get(name) for name in unlimited | made} == unlimited | made
 
 
-def _verified(tick: int | None, known: Any) -> Row:
-    verdict = document.verified(known)
-    catch = 'radius' in known.get('refuted', ())
-    more = f', within {known["refuted"]["radius"]!r} m' if catch else ''
+def _verified(tick: int | None, certificate: Any) -> Row:
+    verdict = document.verified(certificate)
+    catch = 'radius' in certificate.get('refuted', ())
+    more = f', within {certificate["refuted"]["radius"]!r} m' if catch else ''
     outcome, of = HOLDS if verdict.holds else FAILS, CATCH if catch else COST
     return Row(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, more)
 
@@ -110,9 +110,9 @@ def _bag(
     if tick is None:
         for message in bags.of_vehicle(path, namespace, {'certificate'}, needed=()):
             yield _published(bytes(message.content.data))
-    known = replay.recording_of(path, namespace, params, tick=tick)
+    recording = replay.recording_of(path, namespace, params, tick=tick)
     gc.freeze()  # else each full collection scans all imported objects
-    for number, each in enumerate(replay.replayed(known)):
+    for number, each in enumerate(replay.replayed(recording)):
         if tick in (None, number):
             yield from _tick(number, each.recorded.answer, each.decision, out)
 
@@ -174,13 +174,13 @@ def _certified(row: Row, out: str | None, make: Callable[[], Document]) -> Row:
     """Return the verdict on a claim by making and verifying its certificate."""
     try:
         made = text_of(make())
-        found = _verified(row.tick, document.parsed(made.encode()))
+        verdict = _verified(row.tick, document.parsed(made.encode()))
     except (Refuted, Unproved, document.Refused) as error:
         outcome = FAILS if isinstance(error, Refuted) else NONE
         return row._replace(outcome=outcome, more=f': {str(error).removeprefix(f"{NONE}: ")}')
     if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
         (folder_at(Path(out)) / name).write_text(made + '\n')
-    if found.outcome == FAILS:  # not refuted: no trajectory is known to cost less
-        return found._replace(outcome=NONE, more=f': another search proves {found.proved!r}')
-    return found
+    if verdict.outcome == FAILS:  # not refuted: no trajectory is known to cost less
+        return verdict._replace(outcome=NONE, more=f': another search proves {verdict.proved!r}')
+    return verdict

@@ -121,11 +121,11 @@ def served(wanted: int | None) -> Iterator[tuple[str, str, Child]]:
     page = f'http://{HOST}:{port}/?url={quote(source, safe="")}'
     # The program itself, not the wheel's script, which leaves the program running when stopped.
     program = str(Path(rerun_cli.__file__).parent / 'rerun')
-    words = ['--serve-web', '--bind', HOST, '--hide-welcome-screen']
+    options = ['--serve-web', '--bind', HOST, '--hide-welcome-screen']
     numbers = ['--port', str(data), '--web-viewer-port', str(port)]
     with TemporaryDirectory() as place:
-        words = [program, *words, *numbers]
-        child = Child("rerun's server", words, Path(place) / 'log')
+        command = [program, *options, *numbers]
+        child = Child("rerun's server", command, Path(place) / 'log')
         try:
             end = time.monotonic() + PATIENCE
             while _free(port) or _free(data):
@@ -180,7 +180,7 @@ class Scene:
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._to = recording
-        self._way: deque[Array] = deque(maxlen=REMEMBERED)
+        self._flown: deque[Array] = deque(maxlen=REMEMBERED)
         self._swing: deque[Array] = deque(maxlen=SWING)
         self._farthest = 0.0  # from the goal so far [m]
         self._to.send_blueprint(layout())
@@ -200,8 +200,8 @@ class Scene:
     def _take_odom(self, message: Any) -> None:
         _, odometry = read_odometry(message, 3, Frames())
         place = odometry.position
-        self._way.append(place)
-        self._to.log(f'{WORLD}/flown', _line(self._way, BLUE))
+        self._flown.append(place)
+        self._to.log(f'{WORLD}/flown', _line(self._flown, BLUE))
         if self._swing:
             apart = float(np.linalg.norm(place - self._swing[-1]))
             self._farthest = max(self._farthest, apart)
