@@ -208,7 +208,7 @@ def speed_margin(problem: Problem, state: State, headings: Array) -> Array:
 
 
 def obstacle_margin(problem: Problem, positions: Array) -> float:
-    """Return the least clearance of s_0..s_N, shape (N + 1, n), from every box [m], except of s_0.
+    """Return the least clearance of s_1..s_N from all boxes [m], for s_0..s_N, shape (N + 1, n).
 
     With ``no_corner_cutting`` consecutive points must be clear of a common face.
     """

@@ -31,7 +31,7 @@ def clearances(problem: Problem, state: State, plan: Plan) -> dict[str, float]:
     tracks = np.zeros((len(traffic.bodies), len(times), problem.dimension))
     for j, hazard in enumerate(state.hazards, start=len(tracks) - len(state.hazards)):
         tracks[j] = hazard.moved(times)
-    # Plans inside of only the allowance for strays are outside of the body, and have to stay so.
+    # A plan within the allowance for strays is still outside of the body, and has to stay there.
     eased = np.maximum(traffic.eased - traffic.strays, 0.0) - traffic.kept
     apart = _apart(problem, plan, traffic, _positions(problem, plan, times) - tracks, times)
     return dict(zip(traffic.names, (apart + eased).min(axis=1).tolist(), strict=True))
@@ -89,11 +89,11 @@ def _beyond_balls(balls: Sequence[Ball], away: Array) -> Array:
     return np.asarray(nearest - np.array([[each.radius] for each in balls]))
 
 
-def _beyond_a_face(each: Array, first: np.ndarray) -> Array:
+def _beyond_a_face(beyond: Array, first: np.ndarray) -> Array:
     """Return the largest distance beyond a face that holds throughout a step, shape (N,) [m].
 
-    Steps begin at the ``first`` instants, (N,), at which distances from all faces are (M + 1, 2 n).
+    ``beyond`` has a row per instant, (M + 1, 2 n); steps begin at the rows ``first``, shape (N,).
     """
-    begun = np.minimum.reduceat(each[:-1], first)
-    ended = each[np.append(first[1:], len(each) - 1)]
+    begun = np.minimum.reduceat(beyond[:-1], first)
+    ended = beyond[np.append(first[1:], len(beyond) - 1)]
     return np.asarray(np.minimum(begun, ended).max(axis=1))

@@ -104,7 +104,7 @@ def gradients(problem: Problem, state: State, goals: Array, x: Array) -> list[Ar
 
 
 def beside(rows: Array, thrust: Array, others: Array) -> Array:
-    """Return a map's values for coordinates of R e1, and another's for the rest, shape (m, d)."""
+    """Return ``thrust`` applied to coordinates of R e1 in rows, ``others`` to the rest, (m, d)."""
     n = min(rows.shape[1], 3)
     return np.hstack([thrust @ rows[:, :n], others @ rows[:, n:]])
 
@@ -276,7 +276,7 @@ class Unconstrained(NamedTuple):
 def minimisers(problem: Problem, condensed: Condensed) -> tuple[Unconstrained, Unconstrained]:
     """Return the maps for coordinates of R e1, and for those of R e2 and R e3.
 
-    Given are the knowns, and then R_1.
+    Their arguments are the knowns, and then R_1.
     """
     (rows, values), decided = condensed.arrival, problem.rotation_order - 1
     met = len(rows) if problem.terminal == 'constraint' else 0

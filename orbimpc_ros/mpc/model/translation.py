@@ -32,7 +32,7 @@ class Translation(NamedTuple):
     and the velocity is z R e1.
 
     Attributes:
-        push: divisors of that change which give b, for each entry of y; 0 for an entry of 0.
+        push: b is that change divided by these, entry by entry of y; where b is 0, so are these.
         follow: the same for c, which is zero unless the turn within a step affects that step.
         degree: of the motion of s within a step, as a polynomial of time.
         kept: share of the velocity that remains after a step.

@@ -114,7 +114,7 @@ def _each(value: Any, culprit: str, made: Callable[[Any, str], T]) -> tuple[T, .
 
 
 def body_of(value: Any, culprit: str, needed: Names = (), optional: Names = ()) -> Box | Ball:
-    """Return the body that a mapping describes, which has other fields, too.
+    """Return the body that a mapping describes, whose other fields are ``needed`` or ``optional``.
 
     Raises:
         BadInput: a field is unknown, missing, of another type or out of range.

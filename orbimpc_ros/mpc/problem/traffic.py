@@ -171,7 +171,7 @@ def escapes(problem: Problem, state: State, units: Array) -> Array:
 
 
 def _outside(body: Box | Ball, points: Array) -> Array:
-    """Return how far control points of steps, (..., m, n), are beyond one plane, shape (...,)."""
+    """Return how far points, (..., m, n), are beyond the plane that parts them most from a body."""
     if isinstance(body, Ball):
         return np.asarray(separation(points - body.centre)[1] - body.radius)
     beyond = body.clearances(points.reshape(-1, points.shape[-1]))

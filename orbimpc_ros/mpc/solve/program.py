@@ -181,7 +181,7 @@ class Program:
     def _within(
         self, name: str, x: np.ndarray, shares: Array, size: float, sizes: np.ndarray = NONE
     ) -> None:
-        """Add cones |sum_k shares_k z_k| <= size; its row is the first one of each.
+        """Add cones |sum_k shares_k z_k| <= size; the first row of each is that of the size.
 
         Args:
             name: of the rows.
@@ -198,7 +198,7 @@ class Program:
         self._add(name, rows, np.tile(size * heads[:, 0], count), [Round(1 + n)] * count)
 
     def _cost(self) -> tuple[sparse.csc_matrix, Array]:
-        """Return half of P (of distances, inputs and the last rotation), and q (of lengths)."""
+        """Return the upper half of P (distances, inputs, the last rotation), and q (lengths)."""
         problem = self.problem
         diagonal, linear = np.zeros(self.count), np.zeros(self.count)
         weights = 2.0 * motion_weights(problem)
@@ -213,7 +213,7 @@ class Program:
         inputs = sparse.block_diag([sparse.kron(turning, sparse.eye(self._width)), rest])
         return sparse.csc_matrix(sparse.triu(inputs + sparse.diags(diagonal))), linear
 
-    # --- what does
+    # --- what depends on it
 
     def stated(self, request: Request) -> ConeProgram:
         """Return the program of a request."""
@@ -242,7 +242,7 @@ class Program:
         self._scale = max(1.0, float(np.abs(pull).max()) / usual)
 
     def _offsets(self, request: Request, seen: Array) -> Array:
-        """Return b for state and goals, of which g_1 - s_0..g_N - s_0 are seen, shape (N, n)."""
+        """Return b for state and goals; ``seen`` are g_1 - s_0..g_N - s_0, shape (N, n)."""
         problem, state, rows = self.problem, request.state, self._rows
         b, moved = self._stated.offsets.copy(), np.empty(self._y.shape)
         b[rows['start']] = coordinates(state.rotation)[: self._width]
@@ -263,7 +263,7 @@ class Program:
         return b
 
     def _aimed(self, state: State) -> list[Part]:
-        """Return the rows that the state turns: R_1 if the body rate decides it, and cones."""
+        """Return rows whose entries depend on the state: R_1 if it decides that, and cones."""
         problem, n = self.problem, self.problem.dimension
         parts, aims = list[Part](), []
         if self._decided:

@@ -336,7 +336,7 @@ class Regions:
         return rows
 
     def _touched(self, choice: int, headings: Array, normals: Array) -> Side | None:
-        """Return a floor's tangent, or the face violated least; a body's with normals[j, k]."""
+        """Return a floor's tangent, or its face violated least; a body's side with its normal."""
         floor, count, bodies = self.problem.floor, self.problem.horizon, self._stated.bodies
         if choice < count:
             heading = headings[choice]

@@ -189,7 +189,7 @@ class SO3Multipliers:
         return (self._general or self._build_general()).relax(request, rows)
 
     def _relaxed(self, request: Request, rows: Sequence[Row]) -> Relaxation:
-        """Solve from the multipliers of the last solve, then without, then by the general one."""
+        """Solve from the last solve's multipliers, else from zeros, else by the general program."""
         if any(map(self._is_missed, rows)):
             return Relaxation(None, np.inf, empty=True)
         terms, bound, dual = Terms(*self._fixed, *stacked([*self._own, *rows], 3)), -np.inf, None
@@ -221,7 +221,7 @@ class SO3Multipliers:
                 return progress, status
 
     def _take_up(self, count: int, *, warm: bool) -> None:
-        """Set initial multipliers: of the last solve if ``warm``, else zero (that may mislead).
+        """Set initial multipliers: the last solve's if ``warm``, which may mislead; else zeros.
 
         Those of the ``count`` half-spaces are zero.
         """

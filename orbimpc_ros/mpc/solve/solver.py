@@ -432,6 +432,6 @@ class Task:
 
 
 def _floats(value: Array, shape: tuple[int, ...], culprit: str) -> Array:
-    """Return an array of floats as it is, and anything else as one if it is that."""
+    """Return an array of floats of a shape as it is; convert other numbers, refuse the rest."""
     fits = isinstance(value, np.ndarray) and (value.dtype, value.shape) == (float, shape)
     return value if fits else frozen(value, shape, culprit)

@@ -129,7 +129,7 @@ def _begun(problem: Problem, state: State) -> Begun:
 
 
 def _along(problem: Problem, state: State, headings: Array) -> Array:
-    """Return the coordinates of rotations turned onto headings, shape (N, n), but a given R_1.
+    """Return the coordinates of rotations turned onto headings, (N, n); a given R_1 is kept.
 
     Speeds change from the entry speed on as fast as ``max_acceleration`` allows.
     """

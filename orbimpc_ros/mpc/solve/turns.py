@@ -39,7 +39,7 @@ class Turns:
         self._problem, floor, n = problem, problem.floor, problem.dimension
         self._widest, self._least = WITHIN * problem.widest_turn, problem.least_speed
         self._shares = np.eye(problem.horizon)
-        # A speed allowed in every heading, and a turn with no longer a chord than at least speed.
+        # At a speed all headings allow, the turn whose chord is that of the widest at least speed.
         half = self._least * math.sin(0.5 * self._widest) / floor.circling(n)
         self._turn = 2.0 * math.asin(min(1.0, half))
         first = 2 if problem.first_turn_is_a_cone else 1
