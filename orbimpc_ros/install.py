@@ -18,11 +18,11 @@ NAME, CONSTRAINTS = 'orbimpc_ros', 'requirements-jazzy.txt'
 
 def command(*packages: str) -> str:
     """Return the command that installs packages for this Python."""
-    words = [sys.executable, '-m', 'pip', 'install']
+    arguments = [sys.executable, '-m', 'pip', 'install']
     if version('numpy').startswith('1.'):
         file = shared(CONSTRAINTS)
-        words += ['numpy<2'] if file is None else ['--constraint', str(file)]
-    return shlex.join([*words, *packages])
+        arguments += ['numpy<2'] if file is None else ['--constraint', str(file)]
+    return shlex.join([*arguments, *packages])
 
 
 def command_for_extra(extra: str) -> str:

@@ -173,7 +173,7 @@ def followed(reached: F, wanted: F, duration: float, lag: float) -> tuple[F, F]:
 
 
 def covered(shares: Sequence[float], duration: float, lag: float) -> list[float]:
-    """Return the integrals of a share that follows those commanded after the first, each a time."""
+    """Return the integral of a share over each step [s]: from shares[0], it lags shares[1:]."""
     begun = shares[0], 0.0
     steps = accumulate(shares[1:], lambda x, c: followed(x[0], c, duration, lag), initial=begun)
     return [integral for _, integral in steps][1:]

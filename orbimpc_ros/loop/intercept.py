@@ -328,7 +328,7 @@ class Interception:
         return catch
 
     def _sooner(self, query: InterceptQuery, catch: _Attempt) -> _Attempt:
-        """Return an earlier catch than the one found, if any, doubling the distance each time."""
+        """Return an earlier catch than the given one, if any, doubling the distance each time."""
         for away in (1, 2, 4, 8):
             end = math.ceil(catch.end) - away
             likely = end > self._horizon and catch.miss <= self._radius

@@ -209,10 +209,10 @@ class Planner:
         self._timeouts = odom_timeout, goal_timeout
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._projection = projection
-        made = partial(Solver, projection=projection, gap_tolerance=gap_tolerance, coasting=True)
+        build = partial(Solver, projection=projection, gap_tolerance=gap_tolerance, coasting=True)
         # Ends of catches recur, lengths of shortened steps do not: few solvers are kept for these.
         most = MEMORY if capture_radius else 2 * problem.horizon + 2
-        self._solver_for = lru_cache(maxsize=most)(made)
+        self._solver_for = lru_cache(maxsize=most)(build)
         self._solver_for(problem)
         if self._still:
             self.expect_hazards()

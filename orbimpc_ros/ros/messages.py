@@ -217,8 +217,7 @@ def read_agent(
 def read_command(message: TwistStamped | WrenchStamped, frames: Frames) -> tuple[int, float, Array]:
     """Return the stamp [ns] of a command, its part along the thrust axis, and that about the axes.
 
-    The latter has shape (3,). They are speed and body rate [m/s, rad/s], or force and torque [N,
-    N m].
+    These are speed [m/s] and body rate [rad/s], or force [N] and torque [N m], of shape (3,).
     """
     at, parts = _stamp(message.header, ''), ('twist.linear', 'twist.angular')
     if isinstance(message, WrenchStamped):
@@ -446,9 +445,9 @@ def health_message(
     The namespace in the full name of the reporting ``node`` identifies the vehicle.
     """
     name = node.strip('/')
-    made = diagnostics(at, f'{name}: {task}', level, message, values)
-    made.status[0].hardware_id = name.rpartition('/')[0] or 'none'
-    return made
+    diagnostic = diagnostics(at, f'{name}: {task}', level, message, values)
+    diagnostic.status[0].hardware_id = name.rpartition('/')[0] or 'none'
+    return diagnostic
 
 
 def diagnostics(
@@ -580,10 +579,10 @@ def marker(
     stamp: Stamp, name: str, number: int, kind: int, color: tuple[float, ...], step: float
 ) -> Marker:
     """Return a marker at the origin, without a shape, that vanishes after some steps [s]."""
-    made = Marker(header=header(stamp.nanoseconds, stamp.frames.world), ns=name, id=number)
-    made.type, made.action = kind, Marker.ADD
-    made.pose.orientation.w = 1.0
-    made.color = ColorRGBA(**dict(zip('rgba', color, strict=True)))
+    blank = Marker(header=header(stamp.nanoseconds, stamp.frames.world), ns=name, id=number)
+    blank.type, blank.action = kind, Marker.ADD
+    blank.pose.orientation.w = 1.0
+    blank.color = ColorRGBA(**dict(zip('rgba', color, strict=True)))
     seconds, rest = divmod(LIFETIME * step, 1.0)
-    made.lifetime = Duration(sec=int(seconds), nanosec=int(rest * 1e9))
-    return made
+    blank.lifetime = Duration(sec=int(seconds), nanosec=int(rest * 1e9))
+    return blank

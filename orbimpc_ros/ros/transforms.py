@@ -95,9 +95,9 @@ def stated(lines: Iterable[str]) -> dict[str, Edge]:
 
 def matrix(rotation: Array, translation: Array) -> Array:
     """Return a rotation, shape (3, 3), and a translation, shape (3,) [m], as one matrix."""
-    made = np.eye(4)
-    made[:3, :3], made[:3, 3] = rotation, translation
-    return made
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = rotation, translation
+    return transform
 
 
 def between(first: Array, then: Array, share: float) -> Array:

@@ -267,7 +267,7 @@ class SimNode(Managed):
         yield
 
     def _answer(self, sent: list[Seen], answered: int | None) -> Answer:
-        """Publish the flight until odometry of a stamp [ns], if any, is answered; return that."""
+        """Publish the flight until odometry of a stamp [ns] is answered; return any answer."""
         begun, shared = self.steady_now(), self._scenario.clock == 'shared'
         while True:
             shown_at, waited = self.steady_now(), 0.0

@@ -279,6 +279,6 @@ def sim_settings(values: Values) -> SimSettings:
         needed = SET.get(settings.vehicle, {}).get(spec.name, spec.default)
         if spec.name in fixed and value != needed and np.any(value):
             raise BadInput(spec.name, value, f'{needed} with vehicle: {settings.vehicle}')
-    for made in ('model', 'start', 'failsafe', 'rope', 'bodies', 'approach', 'wait_for'):
-        getattr(settings, made)  # raises if invalid
+    for derived in ('model', 'start', 'failsafe', 'rope', 'bodies', 'approach', 'wait_for'):
+        getattr(settings, derived)  # raises if invalid
     return settings

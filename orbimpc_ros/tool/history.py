@@ -184,7 +184,7 @@ def _valid(
 
 
 def _seen(at: Array, sighted: Mapping[str, Array], longest: float) -> Array:
-    """Return a goal's positions at times [s]; it holds where it is not seen for ``longest`` [s]."""
+    """Return a goal's positions at times [s]; it stays put in gaps longer than ``longest`` [s]."""
     times, places = sighted['time'], sighted['position']
     held = np.flatnonzero(np.diff(times) > longest)
     times = np.insert(times, held + 1, np.nextafter(times[held + 1], -np.inf))

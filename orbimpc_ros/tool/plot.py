@@ -260,9 +260,9 @@ def shares(flown: Flights) -> Panel:
             if len(fields.get('speed_fraction') or ()) > 1 and time <= each.times[-1]
         ]
         lines[_label(name, flown)] = tuple(np.reshape(points, (-1, 2)).T)
-    what = 'thrust' if first['translation_order'] == 2 else 'speed'
+    quantity = 'thrust' if first['translation_order'] == 2 else 'speed'
     floors = {k: v for each in flown.values() for k, v in _floor(each.values).items()}
-    return Panel(f'Share of full {what}, |R e₁|', '', lines, floors, steps=True)
+    return Panel(f'Share of full {quantity}, |R e₁|', '', lines, floors, steps=True)
 
 
 def _floor(values: settings.Values, full: float = 1.0) -> dict[str, float]:
@@ -348,9 +348,9 @@ def instants(history: History) -> Iterator[dict[str, Array]]:
     steps = np.linspace(0.0, end, end * per_step + 1)
     for step, now, goal in zip(steps, *history.at(steps)[2:], strict=True):
         k = int(step)
-        made = [points for time, points in history.plans if time <= history.times[k]]
+        plans = [points for time, points in history.plans if time <= history.times[k]]
         yield {
-            'plan': made[-1] if made else np.zeros((0, 3)),
+            'plan': plans[-1] if plans else np.zeros((0, 3)),
             'flown': np.vstack([path[: k + 1], now]),
             'vehicle': np.array([now, now + reach * history.attitudes[k, :, 0]]),
             'goal': goal[None],

@@ -88,12 +88,12 @@ def _file(path: Path, problem: str | None) -> Row:
 
 def _is_of(proof: Any, case: Case) -> bool:
     """Return whether a certificate belongs to a case: problem, state and goals."""
-    made = document.statement(*case.known)
+    claim = document.statement(*case.known)
     if 'refuted' in proof:
         proof = {**proof, 'refuted': {**proof['refuted'], 'trees': []}}
-        made = refutation(replace(case, radius=proof['refuted'].get('radius', 0.0)), ())
+        claim = refutation(replace(case, radius=proof['refuted'].get('radius', 0.0)), ())
     unlimited: dict[str, Any] = {'limits': {}}
-    return {name: (unlimited | proof).get(name) for name in unlimited | made} == unlimited | made
+    return {name: (unlimited | proof).get(name) for name in unlimited | claim} == unlimited | claim
 
 
 def _verified(tick: int | None, certificate: Any) -> Row:
@@ -173,14 +173,14 @@ def _no_catch(claimed: float, now: Decision) -> Document:
 def _certified(row: Row, out: str | None, make: Callable[[], Document]) -> Row:
     """Return the verdict on a claim by making and verifying its certificate."""
     try:
-        made = text_of(make())
-        verdict = _verified(row.tick, document.parsed(made.encode()))
+        certificate = text_of(make())
+        verdict = _verified(row.tick, document.parsed(certificate.encode()))
     except (Refuted, Unproved, document.Refused) as error:
         outcome = FAILS if isinstance(error, Refuted) else NONE
         return row._replace(outcome=outcome, more=f': {str(error).removeprefix(f"{NONE}: ")}')
     if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
-        (folder_at(Path(out)) / name).write_text(made + '\n')
+        (folder_at(Path(out)) / name).write_text(certificate + '\n')
     if verdict.outcome == FAILS:  # not refuted: no trajectory is known to cost less
         return verdict._replace(outcome=NONE, more=f': another search proves {verdict.proved!r}')
     return verdict

@@ -251,7 +251,7 @@ def _line(points: Iterable[Array], color: tuple[float, ...]) -> rr.LineStrips3D:
 
 
 def _drawn(marker: Marker) -> Any:
-    """Return what shows a marker; None for those of kinds that no node here publishes.
+    """Return Rerun's shape for a marker; None for kinds that no node here publishes.
 
     Raises:
         BadInput: its pose is not acceptable, or a number is not finite.

@@ -258,8 +258,8 @@ def planner_settings(values: Values) -> PlannerSettings:
     for name, refused, allowed in _combinations(settings):
         if refused:
             raise BadInput(name, values[name], allowed)
-    for made in ('problem', 'approach', 'disturbance', 'frames', 'stated_transforms'):
-        getattr(settings, made)  # raises if invalid
+    for derived in ('problem', 'approach', 'disturbance', 'frames', 'stated_transforms'):
+        getattr(settings, derived)  # raises if invalid
     return settings
 
 

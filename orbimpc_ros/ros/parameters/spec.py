@@ -187,7 +187,7 @@ def refuse_unknown(given: Iterable[str], specs: Iterable[ParameterSpec]) -> None
 
 
 def unused(given: Iterable[tuple[str, str]], full: str, kind: str) -> list[str]:
-    """Return sections of a node's parameter files, and words after -p, that are for no node.
+    """Return sections of a node's parameter files, and values of -p, that are for no node.
 
     Sections in other namespaces belong to other vehicles, but not those without a namespace, nor
     any of a file that has none for this node.

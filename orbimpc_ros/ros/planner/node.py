@@ -489,7 +489,7 @@ class PlannerNode(Managed):
             'engaged': self._engaged,
             **self._core.counts,
             'callbacks failed': self.failures,
-            **{f'refused {what}': count for what, count in inputs.refused.items()},
+            **{f'refused {cause}': count for cause, count in inputs.refused.items()},
         }
         head = self._time.nanoseconds, self.get_fully_qualified_name(), 'condition', self._level
         message = messages.health_message(*head, '; '.join(parts), values)

@@ -163,9 +163,9 @@ class Wing(ABC):
         """Update whether setpoints may be sent, and keep the mode while they are."""
         engaged = in_mode = self._last('mode', math.inf, otherwise=False)
         why = f'{"in" if in_mode else "has left"} {self.mode}'
-        for what, limit in (('mode', MODE_LOST), ('position', FRESH)):
-            if self._last(what, limit) is None:
-                engaged, why = False, f'no {what} for {limit:g} s'
+        for event, limit in (('mode', MODE_LOST), ('position', FRESH)):
+            if self._last(event, limit) is None:
+                engaged, why = False, f'no {event} for {limit:g} s'
         if engaged != self.engaged:
             self.engaged = engaged
             if not engaged and in_mode:
@@ -174,13 +174,13 @@ class Wing(ABC):
         if self._last('position', FRESH) and self._last('setpoint', 1.0):
             self._keep()
 
-    def _note(self, what: str, value: Any = True) -> None:
+    def _note(self, event: str, value: Any = True) -> None:
         """Record an event with its value and time."""
-        self._latest[what] = self._node.steady_now(), value
+        self._latest[event] = self._node.steady_now(), value
 
-    def _last(self, what: str, within: float, otherwise: Any = None) -> Any:
+    def _last(self, event: str, within: float, otherwise: Any = None) -> Any:
         """Return the last value of an event, if that was within a time [s]."""
-        at, value = self._latest.get(what, (-math.inf, otherwise))
+        at, value = self._latest.get(event, (-math.inf, otherwise))
         return value if self._node.steady_now() - at <= within else otherwise
 
     def _warn(self, problem: str) -> None:

@@ -160,8 +160,8 @@ def _orbiting(
 
     The center of mass is ``off_center`` from the centre of the hull, shape (3,) [m].
     """
-    made, earth = spacecraft.Spacecraft(), gravityEffector.GravBodyData()
-    hub, past = made.hub, attitude @ np.cross(body_rate, off_center)
+    craft, earth = spacecraft.Spacecraft(), gravityEffector.GravBodyData()
+    hub, past = craft.hub, attitude @ np.cross(body_rate, off_center)
     hub.mHub, hub.IHubPntBc_B, hub.r_BcB_B = MASS, INERTIA.tolist(), off_center.tolist()
     place, speed = np.array([ORBIT, 0.0, 0.0]), np.array([0.0, math.sqrt(EARTH / ORBIT), 0.0])
     hub.r_CN_NInit = (place + away + attitude @ off_center).tolist()
@@ -169,8 +169,8 @@ def _orbiting(
     hub.sigma_BNInit, hub.omega_BN_BInit = C2MRP(attitude.T).tolist(), body_rate.tolist()
     earth.planetName, earth.mu, earth.isCentralBody = 'earth', EARTH, True
     earth.usePointMassGravityModel()
-    made.gravField.gravBodies = spacecraft.GravBodyVector([earth])
-    return made
+    craft.gravField.gravBodies = spacecraft.GravBodyVector([earth])
+    return craft
 
 
 def _propelled(vehicle: Any, force: Any, draw: np.random.Generator) -> list[Any]:
