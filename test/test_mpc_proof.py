@@ -8,7 +8,7 @@ import json
 import math
 from dataclasses import replace
 from fractions import Fraction
-from functools import cache
+from functools import cache, reduce
 
 import adversary
 import numpy as np
@@ -206,6 +206,8 @@ BALL = {'centre': [1.0, 0.0], 'radius': 1.0, 'of': 'end'}
         (('tree', 'nodes'), [[0, 0, 0, 0]], 'nodes'),
         (('tree', 'point'), [[[0.1], [0.1, 0.2]]], 'lists of the same length'),
         (('tree', 'points'), [], "unknown tree field 'points'"),
+        (('goals',), reduce(lambda x, _: [x], range(40), 1.0), '2x2 finite'),
+        (('goals',), reduce(lambda x, _: [x], range(5000), 1.0), 'recursion'),
     ],
 )
 def test_states_and_limits_that_are_none_are_refused(path, value, word):

@@ -102,7 +102,7 @@ def numbers_of(value: Any, culprit: str) -> Any:
 
     NumPy accepts words and truth values, too.
     """
-    if not (isinstance(value, list) and all(map(_is_number, np.array(value, dtype=object).flat))):
+    if not (isinstance(value, list) and all(map(_is_number, np.array(value, object).ravel()))):
         raise BadInput(culprit, value, 'a list of finite numbers, or lists of the same length')
     return value
 

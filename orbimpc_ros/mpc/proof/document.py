@@ -106,7 +106,7 @@ def verified(document: Any) -> Verdict:
     """
     try:
         return _verdict(document)
-    except (BadInput, TypeError, OverflowError) as error:
+    except (BadInput, TypeError, OverflowError, RecursionError) as error:
         raise Refused(str(error)) from None
 
 
