@@ -146,11 +146,10 @@ def best_swing(past: Past, middle: int) -> tuple[float, float]:
 
 MEMORY, KEPT = 768, 512  # sightings; those kept when the memory is full
 MOST_DAMPED = 2.0  # [1/s]
-SWINGS_FROM = 6  # sightings
+SWINGS_FROM = 4  # sightings
 BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family is restarted from another
-STEPS = 4  # Gauss-Newton steps of a closer analysis
+STEPS = 6  # Gauss-Newton steps of a closer analysis
 WORTHWHILE = 0.01  # least gain of a step, in units of the noise
-BENDING = [ONE, LINEAR, COSINE, SINE]  # columns of oscillations
 BENT_FROM = 5  # sightings: any three fit an acceleration
 # For a few numbers at a time: importing SciPy's takes longer than a flight's calls.
 log_gamma = np.vectorize(math.lgamma, otypes=[float])
@@ -214,6 +213,10 @@ class Fits:
     def past(self) -> Past:
         """Return all sightings so far."""
         return self._times[: self.count], self._seen[: self.count]
+
+    def first(self, count: int) -> Past:
+        """Return the first sightings: times, shape (M,) [s], and positions, shape (M, n) [m]."""
+        return self._times[:count] + self.epoch, self._seen[:count] + self.origin
 
     def add(self, times: Array, seen: Array) -> None:
         """Add sightings: times, shape (M,) [s], and positions, shape (M, n) [m]."""
@@ -330,21 +333,6 @@ class Fits:
         white = moved @ self._root.transpose(0, 2, 1)
         return np.asarray(self._noises * (1.0 + np.sum(white * white, axis=(1, 2))))
 
-    def shortened(self) -> Fits:
-        """Return the fits without the oldest sightings, but with the present estimates."""
-        times, seen = (each[-KEPT:] for each in self.past)
-        paths, since = self.rows(times) @ self._fitted - seen[0], times - times[0]
-        kept = Fits(self.epoch + times[0], self.origin + seen[0], self._prior)
-        kept.add(self.epoch + times, self.origin + seen)
-        for family in np.flatnonzero(self._rates).tolist():
-            rate, damping = self._rates[family], self._dampings[family]
-            x, coefficients = columns(since, rate, damping), np.zeros_like(self._fitted[family])
-            fitted = np.linalg.lstsq(x[:, BENDING], paths[family], rcond=None)[0]
-            coefficients[BENDING] = fitted
-            kept.place(family, rate, coefficients, damping, bool(self._weighed[family]))
-        kept.solve()
-        return kept
-
     # --- oscillations
 
     def improve(self) -> None:
@@ -386,6 +374,14 @@ class Fits:
         worse = not self._rates[family] or self._misfit[family] > WORSE * self._misfit[SWING]
         if worse and swing[COSINE].any():
             self.place(family, rate, circle(swing) if family == TURN else swing)
+
+
+def fitted_closely(noise: Noise, times: Array, positions: Array) -> Fits:
+    """Return the families fitted to sightings, shapes (M,) [s] and (M, n) [m], at once."""
+    fits = Fits(float(times[0]), positions[0], noise)
+    fits.add(times, positions)
+    fits.look_closely()
+    return fits
 
 
 def data_evidence(
@@ -455,6 +451,7 @@ class Bank:
         self.model = ''
         self._last: float | None = None
         self._fits: Fits  # of the present motion, from the first sighting on
+        self._earlier: list[tuple[Fits, int]] = []  # of motions before; numbers of their sightings
         self._apart: list[GoalObservation] = []  # consecutive outliers so far
         self._lately: list[GoalObservation] = []
         self._fastest = 0.0  # highest observed speed [m/s]
@@ -474,7 +471,7 @@ class Bank:
         else:
             self._apart.append(sighting)
             if len(self._apart) == BELIEVED:
-                self._begin(self._apart, self._fits.noise[self._fits.count])
+                self._begin(self._apart, self._fits.count)
         self._last, self.model = time, NAMES[int(np.argmax(self._fits.shares))]
 
     def at(self, times: Array) -> Array:
@@ -505,34 +502,45 @@ class Bank:
         return bool(np.any(near & (fits.shares > LIKELY)))
 
     def _learn(self, sighting: GoalObservation, waited: float) -> None:
-        """Fit the present motion to another sighting, or start a new one.
-
-        A new one is started unless an oscillation explains the change on closer analysis.
-        """
+        """Fit the present motion to another sighting, or start a new one."""
         self._apart, fits = [], self._fits
         self._add(sighting)
-        oscillates = fits.count >= SWINGS_FROM
-        if oscillates:
+        if fits.count >= SWINGS_FROM:
             for _ in range(min(max(1, round(waited / PATIENCE)), MOST_ROUNDS)):
                 fits.improve()
         fits.solve()
-        if self._changed():
-            if oscillates:
-                fits.look_closely()
-            if new := self._changed():
-                times, places = fits.past[0][-new:] + fits.epoch, fits.past[1][-new:] + fits.origin
-                begun = list(map(GoalObservation, times.tolist(), places))
-                self._begin(begun, fits.noise[fits.count - new])
+        if new := self._changed():
+            times, positions = fits.first(fits.count)
+            begun = list(map(GoalObservation, times[-new:].tolist(), positions[-new:]))
+            self._begin(begun, fits.count - new)
         if self._fits.count == MEMORY:
-            self._fits = self._fits.shortened()
+            latest = (each[-KEPT:] for each in self._fits.first(MEMORY))
+            self._fits = fitted_closely(self._fits.noise[0], *latest)
 
-    def _begin(self, sightings: Sequence[GoalObservation], noise: Noise = UNKNOWN) -> None:
-        """Start anew with the first sightings of a motion."""
-        first = sightings[0]
+    def _begin(self, sightings: Sequence[GoalObservation], before: int = 0) -> None:
+        """Start anew with the first sightings of a motion, of which there are some ``before``."""
+        first, noise = sightings[0], self._fits.noise[before] if before else UNKNOWN
+        self._earlier = [*self._earlier, (self._fits, before)] if before else []
         self._fits, self._apart = Fits(first.time, first.position, noise), []
         for each in sightings:
             self._add(each)
             self._fits.solve()
+        self._recall()
+
+    def _recall(self) -> None:
+        """Take the latest motions for a single one, an oscillation, if that is likelier."""
+        parts = [*self._earlier, (self._fits, self._fits.count)]
+        while sum(count for _, count in parts) > MEMORY:
+            del parts[0]
+        self._earlier = parts[:-1]
+        if sum(count for _, count in parts) < SWINGS_FROM:
+            return
+        times, positions = zip(*(fits.first(count) for fits, count in parts), strict=True)
+        noise, sightings = parts[0][0].noise[0], (np.concatenate(times), np.concatenate(positions))
+        one = fitted_closely(noise, *sightings)
+        apart = sum(fits.evidence[count] for fits, count in parts) + RARE * len(self._earlier)
+        if one.evidence[one.count] > apart:
+            self._fits, self._earlier = one, []
 
     def _add(self, sighting: GoalObservation) -> None:
         """Add a sighting, and note the speed over half a second or the last two sightings."""
