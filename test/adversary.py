@@ -151,9 +151,9 @@ def flight(rng: Rng) -> Flight | None:
         problem = Problem(**given)
         plan = flown(problem)
         case = Case(problem, State.at(**state), goals)
-        kept = margins(*case.known, plan)
+        kept = margins(*case.parts, plan)
         strictly = all(kept[name] >= 1e-13 * (name != 'glide_slope') for name in kept)
-        return None if violations(*case.known, plan) or not strictly else Flight(case, plan, radius)
+        return None if violations(*case.parts, plan) or not strictly else Flight(case, plan, radius)
     except OrbimpcError:
         return None
 
@@ -173,7 +173,7 @@ def plans(seed: int, count: int) -> Iterator[Flight]:
     Curved steps among bodies are left out: their control points need not be clear.
     """
     for drawn, _ in flights(seed, count):
-        problem, state, _ = drawn.case.known
+        problem, state, _ = drawn.case.parts
         if problem.translation.degree == 1 or not (problem.obstacles or state.hazards):
             yield drawn
 
@@ -278,7 +278,7 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     case, count = drawn.case, drawn.case.problem.horizon
     catches, empty = drawn.radius > 0.0, _sometimes(rng, 0.4)
     sought = replace(case, radius=drawn.radius)
-    posed = Posed(*case.known, Statement(case.problem).limits(case.state, case.goals))
+    posed = Posed(*case.parts, Statement(case.problem).limits(case.state, case.goals))
     if catches or empty:
         known = refutation(sought, ())
         posed = refuted_by(known, count if catches else 1)[-1]
@@ -292,7 +292,7 @@ def judged(drawn: Flight, rng: Rng) -> Judged | None:
     if not sound:
         return None
     tree, cost = part.tree(leaf, empty), drawn.radius**2 if catches else drawn.plan.objective
-    known = certificate_of(*case.known, replace(UNPROVED, lower_bound=1.0, tree=tree))
+    known = certificate_of(*case.parts, replace(UNPROVED, lower_bound=1.0, tree=tree))
     if catches or empty:
         known = refutation(sought, (tree,) * (count if catches else 1))
     return Judged(proved, 0.0 if empty else cost, known, tree, posed)

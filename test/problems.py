@@ -152,7 +152,7 @@ def case(family: str, seed: int = 0, longest: int = 7) -> Case:
         ahead = np.tile(found.state.rotation[:, 0], (found.problem.horizon + 1, 1))
         first = translation_rollout(found.problem, found.state, ahead)[0][:2]
         clear = all(body.depth(first).max() < 0.0 for body in found.problem.obstacles)
-        if clear and beyond_reach(*found.known) <= 0.0:
+        if clear and beyond_reach(*found.parts) <= 0.0:
             return found
 
 

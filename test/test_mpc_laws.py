@@ -62,10 +62,10 @@ def solved(request):
 
 def test_a_plan_passes_the_check_and_is_proved(solved):
     family, posed, _, plan = solved
-    assert violations(*posed.known, plan) == []
+    assert violations(*posed.parts, plan) == []
     assert plan.lower_bound <= plan.objective * (1.0 + ROUNDING)
     assert plan.status == 'optimal' or HELD_OUT or family in LOOSE, plan.proof.reason
-    for name, least in margins(*posed.known, plan).items():
+    for name, least in margins(*posed.parts, plan).items():
         assert least > -1e-5 * max(1.0, posed.problem.maps.unit), name
     away = np.linalg.norm(plan.positions - posed.state.position, axis=1)
     assert away.max() <= reach(posed.problem, posed.state) + 1e-9
@@ -83,7 +83,7 @@ def beside(problem, state, plan):
 
 def test_no_legal_trajectory_costs_less_than_the_bound(solved):
     """Tested on perturbations of the plan, small and large, that satisfy all limits."""
-    (problem, state, goals), plan = solved.case.known, solved.plan
+    (problem, state, goals), plan = solved.case.parts, solved.plan
     rng, n = np.random.default_rng(7), problem.dimension
     first = problem.rotation_order  # at order 2 the state decides R_1, except its magnitude
     for _ in range(60):
@@ -107,7 +107,7 @@ def test_a_search_that_is_cut_short_has_a_legal_plan_and_a_sound_bound(solved):
         except SolverFailure:
             assert family in SOUGHT
             continue
-        assert violations(*posed.known, plan) == []
+        assert violations(*posed.parts, plan) == []
         assert plan.lower_bound <= best.objective * (1.0 + ROUNDING)
         assert best.lower_bound <= plan.objective * (1.0 + ROUNDING)
 
@@ -118,14 +118,14 @@ def test_a_guess_leads_to_no_other_optimum(solved):
     elsewhere = shifted(posed.problem, posed.state, best)
     for guess in (best, elsewhere, replace(best, objective=0.1 * best.objective)):
         plan = solver.solve(posed.state, posed.goals, guess, polled(POLLS))
-        assert violations(*posed.known, plan) == []
+        assert violations(*posed.parts, plan) == []
         assert plan.lower_bound <= best.objective * (1.0 + ROUNDING)
         if family in FAMILIES and guess is best:
             assert plan.objective <= best.objective * (1.0 + 1e-4)
 
 
 def test_other_units_are_another_way_to_state_the_same(solved):
-    (problem, state, goals), plan = solved.case.known, solved.plan
+    (problem, state, goals), plan = solved.case.parts, solved.plan
     units, x = Units.of(problem), coordinates(plan.rotations[1:])
     known = units.problem, units.state(state), goals / units.length
     plain, scaled = trajectory_of(problem, state, goals, x), trajectory_of(*known, x)
@@ -146,7 +146,7 @@ def test_no_flight_costs_less_than_the_bound_of_a_search(seed):
     flown = [*adversary.plans(seed, 60)]
     assert len(flown) > 20
     for index, drawn in enumerate(flown):
-        (problem, state, goals), cost = drawn.case.known, drawn.plan.objective
+        (problem, state, goals), cost = drawn.case.parts, drawn.plan.objective
         solver = Solver(problem, coasting=state.coasted is not None)
         try:
             plan = solver.solve(state, goals, None, polled(100))
@@ -161,10 +161,10 @@ def test_bounds_leave_what_rounding_takes(index):
     """An arrival exact up to rounding, a plan at its goal, and a cost far below its unit."""
     drawn = adversary.flight(np.random.default_rng([817735, index]))
     assert drawn is not None
-    (problem, state, goals), coasting = drawn.case.known, drawn.case.state.coasted is not None
+    (problem, state, goals), coasting = drawn.case.parts, drawn.case.state.coasted is not None
     plan = Solver(problem, coasting=coasting).solve(state, goals)
     assert plan.lower_bound <= plan.objective
-    assert verified(parsed(text_of(certificate_of(*drawn.case.known, plan.proof)).encode())).holds
+    assert verified(parsed(text_of(certificate_of(*drawn.case.parts, plan.proof)).encode())).holds
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_bounds_leave_what_rounding_takes(index):
 def test_a_plan_that_arrives_or_evades_needs_no_search(family, seed):
     posed = case(family, seed)
     plan = Solver(posed.problem).solve(posed.state, posed.goals, None, polled(0))
-    assert violations(*posed.known, plan) == []
+    assert violations(*posed.parts, plan) == []
 
 
 @pytest.mark.parametrize('index', [615, 5965, 21072, 41971])
@@ -182,9 +182,9 @@ def test_a_search_that_finds_nothing_leaves_a_plan_all_the_same(index):
     """Arrivals in a cone of approach, and among bodies, from a search that is stopped early."""
     drawn = adversary.flight(np.random.default_rng([411128, index]))
     assert drawn is not None
-    problem, *known = drawn.case.known
+    problem, *known = drawn.case.parts
     found = Solver(problem).solve(*known, out_of_time=polled(400))
-    assert violations(*drawn.case.known, found) == []
+    assert violations(*drawn.case.parts, found) == []
 
 
 @needs_machine_code
@@ -206,7 +206,7 @@ def certificate(solved):
     """The plan's certificate; None for an open family, whose search may leave a huge tree."""
     if solved.family in OPEN:
         return None
-    return certificate_of(*solved.case.known, solved.plan.proof)
+    return certificate_of(*solved.case.parts, solved.plan.proof)
 
 
 def test_a_bound_is_verified_in_fractions(solved, certificate):

@@ -36,7 +36,7 @@ BEST_KNOWN = ('uav_circle', 'uav_unit', 'dubins_circle')  # feasible values, not
 
 @pytest.mark.parametrize('name', CASES)
 def test_the_papers_problems_have_their_known_optima(name):
-    problem, start, targets = reference(name).known
+    problem, start, targets = reference(name).parts
     plan = Solver(problem).solve(start, targets)
     answer = ANSWERS[name]['objective']
     assert plan.is_closed
@@ -55,7 +55,7 @@ def test_the_papers_problems_have_their_known_optima(name):
 
 def test_the_papers_minute_long_problem_is_proved():
     """Dubins, N = 20, det R >= 1/2 as a square, path length only: no input weight."""
-    problem, start, targets = reference('dubins_square').known
+    problem, start, targets = reference('dubins_square').parts
     pure = replace(problem, weights=replace(problem.weights, input=0.0))
     plan = Solver(pure).solve(start, targets)
     assert plan.status == 'optimal'
@@ -71,7 +71,7 @@ CONVEX = [each for each in FAMILIES if not any(word in each for word in CHOICES)
 @pytest.mark.parametrize('seed', range(2))
 @pytest.mark.parametrize('family', CONVEX)
 def test_convex_optima_are_those_of_another_formulation(family, seed):
-    problem, start, targets = case(family, seed, longest=6).known
+    problem, start, targets = case(family, seed, longest=6).parts
     start = replace(start, rotation=(1.0 - 0.4 * seed) * start.rotation)
     solver = Solver(problem, gap_tolerance=1e-6, coasting=start.coasted is not None, patient=True)
     try:
@@ -159,7 +159,7 @@ BRANCHING = [
     ],
 )
 def test_searches_find_what_enumeration_finds(posed, near):
-    expected, solver = enumerated(*posed.known), Solver(posed.problem, gap_tolerance=1e-6)
+    expected, solver = enumerated(*posed.parts), Solver(posed.problem, gap_tolerance=1e-6)
     if expected == np.inf:
         with pytest.raises(Infeasible):
             solver.solve(posed.state, posed.goals)
@@ -184,7 +184,7 @@ FLOORED = [
 @pytest.mark.parametrize('family', FLOORED)
 def test_floors_are_closed_in_wind(family, seed):
     """No plan is better by more than the gap, which the verifier proves."""
-    problem, start, targets = case(family, seed, longest=5).known
+    problem, start, targets = case(family, seed, longest=5).parts
     wanting = 4.0 * seed * (not problem.max_acceleration)
     problem = replace(problem, weights=replace(problem.weights, attitude=wanting))
     wind = disturbed(np.random.default_rng([seed, *family.encode()]), problem).disturbance

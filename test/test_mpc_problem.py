@@ -175,7 +175,7 @@ def test_files_state_limits_obstacles_and_what_is_wanted():
     limits = {'max_acceleration': 2.0, 'approach': {'cone': 0.3, 'direction': [0.0, 1.0]}}
     problem, state, _ = case_of(
         {**CASE, **limits, 'obstacles': [BALL, BOX], 'hazards': named}
-    ).known
+    ).parts
     ball, box = Ball([2.0, 0.0], 0.5), Box([0.0, 3.0], [1.0, 4.0])
     assert problem.obstacles == (ball, box)
     track = MovingObstacle(box, [0.0, 1.0, 3.0], [[0.0, 0.0], [0.0, 1.0], [2.0, 1.0]])
@@ -195,7 +195,7 @@ def test_files_state_the_cones_of_a_descent():
         'weights': {'terminal': 1.0}, 'goal': [0, 0, 0],
         'state': {'position': [0, 0, 9], 'rotation': np.eye(3).tolist()},
     }  # fmt: skip
-    problem, state, _ = case_of(lander).known
+    problem, state, _ = case_of(lander).parts
     assert constraints_in_force(problem, state) == ['tilt 0.2', 'glide_slope 0.6']
 
 

@@ -127,7 +127,7 @@ def run_over(rng):
 
 
 def too_slow_to_speed_up(rng):
-    problem, start, _ = arriving(rng, 0.0, max_acceleration=float(rng.uniform(0.05, 0.2))).known
+    problem, start, _ = arriving(rng, 0.0, max_acceleration=float(rng.uniform(0.05, 0.2))).parts
     goal = start.position + rng.uniform(0.3, 0.8) * problem.horizon * start.attitude[:, 0]
     return case(problem, replace(start, rotation=0.2 * start.attitude), goal)
 
@@ -204,7 +204,7 @@ def among_boxes(seed):
 def test_what_is_refuted_has_no_solution_and_what_has_one_is_not(seed):
     """Compared with another solver that enumerates all choices of sides."""
     sought = among_boxes(seed)
-    known = sought.known
+    known = sought.parts
     made, best = held(lambda: refutation_of(sought)), enumerated(*known)
     if best < np.inf:
         assert made is None

@@ -48,7 +48,7 @@ def is_clear(task: Task, plan: Plan) -> bool:
 
 def cheapest_clear(task: Task, plans: Iterable[Plan]) -> Plan | None:
     """Return the cheapest of the plans that pass their check and are clear, or None."""
-    held = (each for each in plans if holds(*task.known, each))
+    held = (each for each in plans if holds(*task.parts, each))
     ranked = sorted(held, key=attrgetter('objective'))
     return next((each for each in ranked if is_clear(task, each)), None)
 
@@ -59,7 +59,7 @@ def clear_instead(task: Task, plan: Plan) -> Plan:
     Without one, return the path or plan whose first steps keep farthest from hazards. The bound of
     the plan also holds for its replacement.
     """
-    paths = [each for each in _fallback_paths(task, plan.proof) if holds(*task.known, each)]
+    paths = [each for each in _fallback_paths(task, plan.proof) if holds(*task.parts, each)]
     farthest = partial(_room, task, SURE_STEPS)
     return cheapest_clear(task, paths) or max([*paths, plan], key=farthest)
 
@@ -72,7 +72,7 @@ def clearest(task: Task) -> tuple[Plan | None, float]:
     still avoid a later conflict. From inside a hazard, all paths are as far outside as their start;
     then the distance at their end decides.
     """
-    problem, state, goals = task.known
+    problem, state, goals = task.parts
     alone = problem, replace(state, hazards=()), goals
     rest = [] if task.rest is None else [replace(task.rest, proof=UNPROVED)]
     paths = [each for each in chain(rest, _fallback_paths(task, UNPROVED)) if holds(*alone, each)]
@@ -110,13 +110,13 @@ def _suffices(task: Task, steps: int, plan: Plan) -> bool:
 
 def _fallback_paths(task: Task, proof: Proof) -> Iterator[Plan]:
     """Yield plans found without search, given a proof of their bound; turns first, which evade."""
-    for x in in_time(chain(turning(*task.known), straight(*task.known)), task.late):
-        yield assemble(*task.known, x, projection=task.projection, proof=proof)
+    for x in in_time(chain(turning(*task.parts), straight(*task.parts)), task.late):
+        yield assemble(*task.parts, x, projection=task.projection, proof=proof)
 
 
 def _room(task: Task, steps: int, plan: Plan) -> float:
     """Return the distance of the first steps of a plan, when steered, from hazards [m]."""
-    steps, (problem, state, goals) = min(steps, plan.horizon), task.known
+    steps, (problem, state, goals) = min(steps, plan.horizon), task.parts
     part, x = replace(problem, horizon=steps), plan.x[1 : steps + 1]
     if _cuts_turns(problem):
         x = followed(problem, state, x)

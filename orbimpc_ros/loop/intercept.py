@@ -295,7 +295,7 @@ class Interception:
             goals = self._goals(query, end)
             task = replace(query.task, problem=self.problem(end), goals=sealed(goals))
             plan = task.rest
-            if plan is not None and holds(*task.known, plan) and not _turns_too_far(plan, end):
+            if plan is not None and holds(*task.parts, plan) and not _turns_too_far(plan, end):
                 answer = plan, Status.FEASIBLE, 'the previous plan to the catch is continued'
                 miss = float(np.linalg.norm(self._off(query, end, plan, goals)))
                 rest = _Attempt((task, answer), end, miss)

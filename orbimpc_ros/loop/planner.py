@@ -418,7 +418,7 @@ class Planner:
             task, (plan, status, message) = self._tracked(task)
         reason = Reason(Cause.NONE, joined(message, held, shortened))
         if plan is None:
-            nothing = Case(*task.known) if status is Status.INFEASIBLE else None
+            nothing = Case(*task.parts) if status is Status.INFEASIBLE else None
             return replace(self._fall_back(task, status, reason), infeasible=nothing)
         memory.fallbacks, memory.aim = 0, goals[-1]
         memory.until = memory.flown + task.problem.horizon
@@ -516,7 +516,7 @@ class Planner:
         memory = self._memory
         memory.fallbacks += 1
         lasts = memory.fallbacks <= FALLBACK_TICKS and memory.flown < memory.until - SNAP
-        if lasts and task.rest and holds(*task.known, task.rest):
+        if lasts and task.rest and holds(*task.parts, task.rest):
             return self._following(task, task.rest, status, reason, Fallback.SHIFTED_PLAN)
         arriving = memory.until or task.problem.has_cones  # waiting means falling
         if arriving and task.problem.terminal == 'constraint' and not reason.cause:

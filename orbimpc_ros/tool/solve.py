@@ -52,7 +52,7 @@ def run(
     else:
         print(table(case, plan, values))
     if certificate:
-        _write(certificate, document.certificate_of(*case.known, plan.proof))
+        _write(certificate, document.certificate_of(*case.parts, plan.proof))
     return 0
 
 

@@ -88,7 +88,7 @@ def _file(path: Path, problem: str | None) -> Row:
 
 def _is_of(proof: Any, case: Case) -> bool:
     """Return whether a certificate belongs to a case: problem, state and goals."""
-    claim = document.statement(*case.known)
+    claim = document.statement(*case.parts)
     if 'refuted' in proof:
         proof = {**proof, 'refuted': {**proof['refuted'], 'trees': []}}
         claim = refutation(replace(case, radius=proof['refuted'].get('radius', 0.0)), ())
@@ -157,7 +157,7 @@ def _bound(then: Answer, now: Decision) -> Document:
         raise Unproved('it planned another catch, or none, at its deadline')
     if claimed > plan.objective + TOLERANCE * (plan.objective + plan.proof.cost_unit):
         raise Refuted(f'a trajectory costs {plan.objective!r}')
-    return certificate_of(*posed.known, replace(plan.proof, lower_bound=claimed))
+    return certificate_of(*posed.parts, replace(plan.proof, lower_bound=claimed))
 
 
 def _no_catch(claimed: float, now: Decision) -> Document:

@@ -49,7 +49,7 @@ class Case(ByContent):
     radius: float = 0.0
 
     @property
-    def known(self) -> tuple[Problem, State, Array]:
+    def parts(self) -> tuple[Problem, State, Array]:
         """Return problem, state and goals."""
         return self.problem, self.state, self.goals
 

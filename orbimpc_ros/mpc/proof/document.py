@@ -245,7 +245,7 @@ def refutation(sought: Case, trees: Sequence[ProofTree]) -> Document:
         sought: the problem, state, goals and the radius of a catch.
         trees: one; for catches, one for the end of each step from the first on.
     """
-    problem, state, goals = sought.known
+    problem, state, goals = sought.parts
     refuted: dict[str, Any] = {'trees': [_plain_tree(each) for each in trees]}
     if sought.radius:
         refuted['radius'] = sought.radius

@@ -385,7 +385,7 @@ class Task:
     late: Late | None = None  # whether the deadline has passed; None without one
 
     @cached_property
-    def known(self) -> tuple[Problem, State, Array]:
+    def parts(self) -> tuple[Problem, State, Array]:
         """Return the problem, state and goals against which plans are checked."""
         return self.problem, self.state, self.goals
 
@@ -407,7 +407,7 @@ class Task:
         """Return the remainder of the previous plan as a plan from this state, if it fits."""
         if self.onward is None:
             return None
-        return assemble(*self.known, self.onward, projection=self.projection, proof=UNPROVED)
+        return assemble(*self.parts, self.onward, projection=self.projection, proof=UNPROVED)
 
     def solved(self, *, guessing: bool = False) -> Answer:
         """Return a checked plan, or None, with status and reason.

@@ -60,7 +60,7 @@ def values(decision: Decision) -> dict[str, object]:
         of_plan = {
             'nodes': plan.proof.nodes,
             'speed_fraction': tuple(plan.speed_fraction.tolist()),
-            'margins': margins(*case.known, plan),
+            'margins': margins(*case.parts, plan),
             'projection_distance': float(plan.projection_distance[1:].max()),
             'clearance': clearance(case.problem, case.state, plan.positions),
         }
@@ -92,7 +92,7 @@ def prices(decision: Decision) -> dict[str, float]:
     case, plan = decision.case, decision.plan
     if case is None or plan is None or plan.horizon > LONGEST:
         return {}
-    explanation = explained(*case.known, plan)
+    explanation = explained(*case.parts, plan)
     if explanation.unexplained > ANOTHER_PLAN:
         return {}
     return {str(each): each.price for each in explanation.binding}
@@ -166,7 +166,7 @@ def report_messages(
     if 'certificate' in heard:  # of the plan's bound; of infeasibility, or of no earlier catch
         case, plan, proofs = decision.case, decision.plan, [decision.refutation]
         if case and plan and plan.proof.tree and plan.proof.lower_bound > 0.0:
-            proofs.insert(0, certificate_of(*case.known, plan.proof))
+            proofs.insert(0, certificate_of(*case.parts, plan.proof))
         for proof in filter(None, proofs):
             yield 'certificate', UInt8MultiArray(data=array('B', text_of(proof).encode()))
 
