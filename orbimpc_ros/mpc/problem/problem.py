@@ -481,8 +481,8 @@ def _zeros(shape: tuple[int, ...]) -> Array:
 
 
 def _require_rotation(matrix: Array, culprit: str) -> None:
-    n = len(matrix)
-    if np.abs(matrix.T @ matrix - np.eye(n)).max() > 1e-9 or np.linalg.det(matrix) < 0.0:
+    n, near = len(matrix), matrix.clip(-2.0, 2.0)  # squares of far larger numbers overflow
+    if np.abs(near.T @ near - np.eye(n)).max() > 1e-9 or np.linalg.det(near) < 0.0:
         raise BadInput(culprit, matrix.tolist(), f'a rotation in SO({n})')
 
 
