@@ -248,11 +248,8 @@ def test_a_swing_that_becomes_another_is_known_soon():
     assert np.median(errors) < 0.15  # [m], of swings of several metres
 
 
-@pytest.mark.parametrize(
-    'pace', [(1.0, 0.1, 3.0), (1.0, 0.4, 0.5), (0.5, 0.3, 3.0), (0.2, 1.0, 1.0)]
-)
+@pytest.mark.parametrize('pace', [(1.0, 0.1, 3.0), (1.0, 0.4, 0.5), (0.2, 1.0, 1.0)])
 def test_a_swing_seen_seldom_is_no_series_of_changes(pace):
-    """Before, errors were up to four times its size."""
     spacing, frequency, size = pace
     times, noise = START + spacing * np.arange(35.0), np.random.default_rng(21).normal(size=(30, 2))
     swing = size * np.sin(2.0 * np.pi * frequency * times[:, None] + [0.4, 2.0])

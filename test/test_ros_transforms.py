@@ -158,9 +158,8 @@ def test_a_missing_a_stale_and_an_extrapolated_transform_are_told_apart_and_coun
     assert 'stale transform: map -> odom is 0.5 s older than the message; at most' in said
     said, counts = refusal(box, 1.5)
     assert 'extrapolated transform: map -> odom is known only from 0.5 s later on' in said
-    assert set(counts) == {
-        f'goal: {each} transform' for each in ('missing', 'stale', 'extrapolated')
-    }
+    wrong = 'missing', 'stale', 'extrapolated'
+    assert set(counts) == {f'goal: {each} transform' for each in wrong}
 
 
 def test_a_transform_out_of_order_is_passed_over_and_a_jump_of_time_forgets_all():

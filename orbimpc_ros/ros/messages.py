@@ -199,8 +199,8 @@ def read_wind(
     """Return stamp and wind of a message; its variance is unknown unless positive."""
     at = _stamp(message.header, '')
     velocity = _triple(message.twist.twist.linear, 'twist.linear')[:dimension]
-    mean = 0.5 * float(message.twist.covariance[0] + message.twist.covariance[7])
-    variance = mean if 0.0 < mean <= LARGEST else math.nan
+    each = [float(message.twist.covariance[i]) for i in (0, 7)]
+    variance = 0.5 * sum(each) if min(each) > 0.0 and max(each) <= LARGEST else math.nan
     return at, WindReport(at.nanoseconds / SECOND, velocity, variance)
 
 
