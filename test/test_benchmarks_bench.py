@@ -50,15 +50,9 @@ WING = [0, 9, 19]  # instances early and late in a flight, in wind, above the fl
 @pytest.mark.parametrize(
     ('key', 'name', 'horizon', 'indices'),
     [
-        ('hull', CVXPY, None, range(3)),
-        ('square', GUROBI, None, range(3)),
-        ('square', SCIP, None, range(3)),
-        ('dubins', GUROBI, None, range(1)),
-        ('dubins-length', GUROBI, None, range(1)),
-        ('spacecraft', CVXPY, None, range(3)),
-        ('se3', CVXPY, None, range(3)),
-        ('boxes', GUROBI, None, range(3)),
-        ('boxes', SCIP, None, range(3)),
+        *((key, CVXPY, None, range(3)) for key in ('hull', 'spacecraft', 'se3')),
+        *((key, name, None, range(3)) for key in ('square', 'boxes') for name in (GUROBI, SCIP)),
+        *((key, GUROBI, None, range(1)) for key in ('dubins', 'dubins-length')),
         *((key, name, 4, WING) for key in ('wing', 'wing-circle') for name in (GUROBI, SCIP)),
         ('wing-octagon', GUROBI, 4, WING),
     ],

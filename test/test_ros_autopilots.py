@@ -320,7 +320,7 @@ class ArduPlane(Wing):
         body = Measured(now, place, rotation, rotation.T @ velocity, np.zeros(3))
         wind = TwistWithCovarianceStamped(header=header(stamp.nanoseconds, ''))
         wind.twist.twist.linear.x, wind.twist.twist.linear.y = WIND.tolist()
-        wind.twist.covariance[[0, 7]] = -1.0, 3.0  # unknown, as from MAVROS with ArduPilot
+        wind.twist.covariance[0] = -1.0  # unknown, as from MAVROS with ArduPilot
         share = wings.equivalent(1000.0)
         return (
             self.types.VfrHud(airspeed=share * AIRSPEED, altitude=1000.0),

@@ -8,7 +8,7 @@ from operator import attrgetter
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, Quaternion, TwistStamped
+from geometry_msgs.msg import PoseStamped, Quaternion, TwistStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from planners import FRAMES, settings
@@ -161,6 +161,12 @@ def test_an_empty_frame_parameter_accepts_any():
     message.header.frame_id, message.child_frame_id = 'map', 'r2/base'
     stamp, _ = messages.read_odometry(message, 2, Frames())
     assert stamp.frames == Frames('map', 'r2/base')
+
+
+def test_a_wind_has_a_variance_if_that_is_known_along_both_axes():
+    wind = TwistWithCovarianceStamped()
+    wind.twist.covariance[[0, 7]] = 5.0, -1.0
+    assert math.isnan(messages.read_wind(wind, 2, FRAMES)[1].variance)
 
 
 # --- odometry in two messages: which twist belongs to a pose
