@@ -7,6 +7,7 @@
 import copy
 import itertools
 import json
+import weakref
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from orbimpc_ros.mpc.problem import Ball, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.reach import reach
 from orbimpc_ros.mpc.proof.document import certificate_of, parsed, text_of, verified
+from orbimpc_ros.mpc.solve.branch_and_bound import Search
 from orbimpc_ros.mpc.solve.solver import Solver, Units
 
 ROUNDING = 1e-7  # relative: the saving from constraint violations within tolerance
@@ -196,6 +198,21 @@ def test_the_general_search_of_a_round_floor_in_space_keeps_the_deadline():
         plan = Solver(problem, patient=True).solve(state, goals, None, polled(limit))
         nodes.append(plan.proof.nodes)
     assert nodes[0] < 10 < nodes[1]
+
+
+def test_a_tree_is_freed_in_the_time_of_the_next_search(monkeypatch):
+    """A large one takes tens of milliseconds, which are not left after a deadline."""
+    posed, alive, run = case('boxes'), weakref.WeakSet(), Search.run
+
+    def noted(self, *known, **how):
+        alive.add(self)
+        return run(self, *known, **how)
+
+    monkeypatch.setattr(Search, 'run', noted)
+    solver = Solver(posed.problem)
+    for _ in range(2):
+        solver.solve(posed.state, posed.goals)
+        assert len(alive) == 1
 
 
 # --- certificates

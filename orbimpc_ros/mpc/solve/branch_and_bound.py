@@ -85,11 +85,11 @@ class BranchAndBound:
         Raises:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
-        traffic = traffic_of(self.problem, request.state)
         planar = [] if self._plane is None else self._plane.paths(request)
         if planar and request.hurried and self._in_plane:
             return self._better(request, planar[0])
-        return self.begun(request).run(planar, among=traffic is not None)
+        self._latest = self.begun(request)  # until the next: to free a large tree takes long
+        return self._latest.run(planar, among=traffic_of(self.problem, request.state) is not None)
 
     @cached_property
     def program(self) -> Relaxed:
