@@ -203,12 +203,7 @@ def test_the_general_search_of_a_round_floor_in_space_keeps_the_deadline():
 def test_a_tree_is_freed_in_the_time_of_the_next_search(monkeypatch):
     """A large one takes tens of milliseconds, which are not left after a deadline."""
     posed, alive, run = case('boxes'), weakref.WeakSet(), Search.run
-
-    def noted(self, *known, **how):
-        alive.add(self)
-        return run(self, *known, **how)
-
-    monkeypatch.setattr(Search, 'run', noted)
+    monkeypatch.setattr(Search, 'run', lambda self, *a, **k: alive.add(self) or run(self, *a, **k))
     solver = Solver(posed.problem)
     for _ in range(2):
         solver.solve(posed.state, posed.goals)

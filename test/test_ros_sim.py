@@ -239,16 +239,12 @@ def malformed(message, path):
 
 
 REFUSED = [
-    (STEPPED, twist(2.1, 0.0), 'twist.linear.x'),
-    (STEPPED, twist(-0.1, 0.0), 'twist.linear.x'),
+    *((STEPPED, twist(speed, 0.0), 'twist.linear.x') for speed in (2.1, -0.1)),
     (STEPPED, twist(math.nan, 0.0), 'twist.linear'),
-    (STEPPED, twist(1.0, 6.3), 'twist.angular'),
-    (STEPPED, twist(1.0, -6.3), 'twist.angular'),
-    (STEPPED, twist(1.0, math.inf), 'twist.angular'),
+    *((STEPPED, twist(1.0, rate), 'twist.angular') for rate in (6.3, -6.3, math.inf)),
     (STEPPED, twist(1.0, 0.0, NOW + 1_100_000_000), 'header.stamp'),
     (PUSHED, malformed(TwistStamped(), 'twist.angular.z'), 'twist.angular'),
-    (PUSHED, force(6.1), 'wrench.force.x'),
-    (PUSHED, force(-0.1), 'wrench.force.x'),
+    *((PUSHED, force(each), 'wrench.force.x') for each in (6.1, -0.1)),
     (PUSHED, force(1.0, 2 * NOW), 'header.stamp'),
     (PUSHED, malformed(WrenchStamped(), 'wrench.torque.y'), 'wrench.torque'),
 ]
