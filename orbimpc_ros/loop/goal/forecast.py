@@ -148,7 +148,7 @@ MEMORY, KEPT = 768, 512  # sightings; those kept when the memory is full
 MOST_DAMPED = 2.0  # [1/s]
 SWINGS_FROM = 4  # sightings
 BETTER, WORSE = 0.9, 1.02  # ratios of misfits at which a family is restarted from another
-STEPS = 6  # Gauss-Newton steps of a closer analysis
+STEPS = 5  # Gauss-Newton steps of a closer analysis
 WORTHWHILE = 0.01  # least gain of a step, in units of the noise
 BENT_FROM = 5  # sightings: any three fit an acceleration
 # For a few numbers at a time: importing SciPy's takes longer than a flight's calls.
@@ -513,6 +513,7 @@ class Bank:
             times, positions = fits.first(fits.count)
             begun = list(map(GoalObservation, times[-new:].tolist(), positions[-new:]))
             self._begin(begun, fits.count - new)
+            self._recall()
         if self._fits.count == MEMORY:
             latest = (each[-KEPT:] for each in self._fits.first(MEMORY))
             self._fits = fitted_closely(self._fits.noise[0], *latest)
@@ -525,7 +526,6 @@ class Bank:
         for each in sightings:
             self._add(each)
             self._fits.solve()
-        self._recall()
 
     def _recall(self) -> None:
         """Take the latest motions for a single one, an oscillation, if that is likelier."""
