@@ -48,9 +48,10 @@ def is_clear(task: Task, plan: Plan) -> bool:
 
 def cheapest_clear(task: Task, plans: Iterable[Plan]) -> Plan | None:
     """Return the cheapest of the plans that pass their check and are clear, or None."""
-    held = (each for each in plans if holds(*task.parts, each))
-    ranked = sorted(held, key=attrgetter('objective'))
-    return next((each for each in ranked if is_clear(task, each)), None)
+    for each in sorted(plans, key=attrgetter('objective')):
+        if holds(*task.parts, each) and is_clear(task, each):
+            return each
+    return None
 
 
 def clear_instead(task: Task, plan: Plan) -> Plan:

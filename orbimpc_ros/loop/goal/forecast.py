@@ -526,13 +526,12 @@ class Bank:
         for each in sightings:
             self._add(each)
             self._fits.solve()
+        while sum(count for _, count in self._earlier) + self._fits.count > MEMORY:
+            del self._earlier[0]
 
     def _recall(self) -> None:
         """Take the latest motions for a single one, an oscillation, if that is likelier."""
         parts = [*self._earlier, (self._fits, self._fits.count)]
-        while sum(count for _, count in parts) > MEMORY:
-            del parts[0]
-        self._earlier = parts[:-1]
         if sum(count for _, count in parts) < SWINGS_FROM:
             return
         times, positions = zip(*(fits.first(count) for fits, count in parts), strict=True)
