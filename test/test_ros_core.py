@@ -249,6 +249,9 @@ def test_an_unknown_wind_is_estimated_planned_with_and_told():
     assert driven.tick(now + 0.1).disturbance == pytest.approx(wind, abs=0.01)
     driven.planner.start_afresh(wind=True)
     assert not driven.tick(now + 0.2).disturbance.any()
+    given = values(Driven(wind=(0.1, -0.2, 0.0)).tick())
+    assert given['disturbance'] == (0.1, -0.2)
+    assert np.isnan(given['innovation'])
 
 
 def test_odometry_whose_clock_was_set_back_is_learnt_from_again():
@@ -262,13 +265,6 @@ def test_odometry_whose_clock_was_set_back_is_learnt_from_again():
             decision = driven.decide(2000.0 - begin + now)
             driven.planner.sent(decision.command, begin + now)
         assert decision.disturbance[1] == pytest.approx(drift, abs=0.05)
-
-
-def test_what_is_given_is_planned_with_and_nothing_is_estimated():
-    driven = Driven(wind=(0.1, -0.2, 0.0))
-    report = driven.tick()
-    assert values(report)['disturbance'] == (0.1, -0.2)
-    assert np.isnan(values(report)['innovation'])
 
 
 def test_a_plan_of_a_lagging_vehicle_starts_a_lag_later():

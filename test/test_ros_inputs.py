@@ -343,18 +343,14 @@ def test_a_goal_that_jumps_is_refused_until_the_old_one_is_stale(limited, inputs
     assert inputs.update('goal', goal(1.1, x=-900.0), 0.1) == ''  # unlimited by default
 
 
-def test_a_path_that_jumps_is_refused(limited):
+def test_a_path_that_jumps_is_refused_and_one_that_really_moved_leaves_the_goal(limited):
     def along(seconds, x):
         return path(seconds, [(x + 0.1 * k, 0.0) for k in range(20)])
 
     assert limited.update('goal_path', along(1.0, 5.0), 0.0) == ''
     assert limited.update('goal_path', along(1.2, 5.2), 0.2) == ''  # on the path
     assert 'goal jump is 2 m' in limited.update('goal_path', along(1.4, 7.4), 0.4)
-
-
-def test_a_path_that_has_really_moved_leaves_what_is_known_of_the_goal(limited):
     limited.update('odom', odometry(1.0), 0.0)
-    limited.update('goal_path', path(1.0, [(9.0, 0.0)]), 0.0)
     limited.update('goal', goal(2.4, x=5.0), 1.4)
     assert limited.update('goal_path', path(2.5, [(20.0, 0.0)]), 1.5) == ''
     np.testing.assert_array_equal(targets(limited, ahead(limited, 1), 2.7), [[5.0, 0.0]])

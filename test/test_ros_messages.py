@@ -209,12 +209,12 @@ def test_halves_of_one_stamp_belong_together_in_any_order(order):
             [(1000, 995), (1020, 1005), (1030, 1005)],
         ),
         ([pose(1000), twist(1005), pose(1020)], [(1000, 1005), (1020, 1005)]),
-        # A pose without its twist is dropped, and one that comes twice counts once.
+        # A pose without its twist is dropped; one that comes twice is refused later, with reason.
         (
             [twist(1000), pose(1000), pose(1020), pose(1040), twist(1040)],
             [(1000, 1000), (1040, 1040)],
         ),
-        ([twist(1000), pose(1000), pose(1000), twist(1000)], [(1000, 1000)]),
+        ([twist(1000), pose(1000), pose(1000), twist(1000)], [(1000, 1000)] * 2),
         # Equal stamps that end, such as zeros before a clock starts, do not bind those after them.
         (
             [pose(0), twist(0)]

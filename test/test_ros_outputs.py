@@ -204,6 +204,7 @@ DOUBTS = [
     # A horizon may be too short to turn round; interception looks beyond it.
     (CIRCLING | {'horizon': 10}, 'within 5 s of horizon the vehicle turns by at most 125 deg'),
     (CIRCLING | {'horizon': 10}, 'half a turn takes a horizon of 15'),
+    (CIRCLING | {'horizon': 10, 'max_rate': 5e-324}, 'takes a horizon of 3.141593e+300'),
     (CIRCLING | {'horizon': 15}, ''),
     (CIRCLING | {'horizon': 10, 'floor.shape': 'none'}, ''),
     (CIRCLING | {'horizon': 10, 'objective': 'intercept'}, ''),

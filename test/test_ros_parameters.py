@@ -224,7 +224,7 @@ def test_a_simulator_says_which_sections_it_does_not_use(launch, observer, tmp_p
 @pytest.fixture(scope='module')
 def running(shared):
     launch, observer = shared
-    launch('planner', {'floor.shape': 'polygon'})
+    launch('planner', {'floor.shape': 'polygon', 'obstacles': []})
 
     def ask(kind, name, **fields):
         return observer.call(kind, f'/planner/{name}', kind.Request(**fields))

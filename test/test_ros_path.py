@@ -6,6 +6,7 @@ import time
 from itertools import groupby
 from operator import le
 from pathlib import Path
+from types import SimpleNamespace
 
 import planners
 import pytest
@@ -17,9 +18,10 @@ from rclpy.publisher import Publisher
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.ros.messages import POSE_TWIST
 from orbimpc_ros.ros.planner import node as planner_node
 from orbimpc_ros.ros.planner.core import planner_of
-from orbimpc_ros.ros.planner.node import PlannerNode
+from orbimpc_ros.ros.planner.node import EndpointMonitor, PlannerNode
 
 PACKAGE = ROOT / 'orbimpc_ros'
 # From odometry to its command, in the retrieval: files on the path, calls from one file to another,
@@ -179,3 +181,23 @@ def test_who_may_tell_of_obstacles_has_the_planner_get_ready(planner, monkeypatc
     assert not ready
     node.create_publisher(MarkerArray, 'obstacles', 1)
     spin_until(executor, lambda: ready)
+
+
+def test_a_warning_beside_a_plan_leaves_the_plan_a_normal_condition(planner):
+    """Otherwise the console says ``over: planning`` when the plan has a flaw later on."""
+    node, _ = planner
+    for topic in ('goal', 'odom'):
+        hear(node, topic)
+    node._refusal, node._refused_at = 'odd', node.steady_now()
+    node._show_changes()
+    assert node._current == {'planning': (False, 'planning'), 'odd': (True, 'odd')}
+
+
+def test_either_half_of_odometry_has_one_source():
+    ends = [SimpleNamespace(topic_name=name) for name in POSE_TWIST]
+    counts = dict(zip(POSE_TWIST, (1, 2), strict=True))
+    graph = SimpleNamespace(count_publishers=counts.get, publishers=[], subscriptions=ends)
+    graph.get_publishers_info_by_topic = graph.get_subscriptions_info_by_topic = lambda _: []
+    monitor = EndpointMonitor(graph, ends, None)
+    monitor.look()
+    assert monitor.sources == '2 publishers on twist, of which only one can be right'

@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import SECOND, Frames, Stamp
 from orbimpc_ros.ros.planner.core import Inputs
-from orbimpc_ros.ros.transforms import TF, TF_STATIC, Transforms, between, matrix, stated
+from orbimpc_ros.ros.transforms import TF, TF_STATIC, between, matrix, stated
 
 OTHER = '/uav2/plan'
 QUARTER = math.pi / 2
@@ -73,11 +73,11 @@ def test_roll_pitch_and_yaw_are_about_fixed_axes_as_in_tf():
 
 
 def test_frames_are_joined_through_what_they_have_in_common():
-    known = Transforms(settings(tf=True))
-    known.hear(TF_STATIC, tf(0.0, 'earth', 'map', (100.0, 0.0, 0.0)))
-    known.hear(TF, tf(1.0, 'earth', 'odom', (100.0, 5.0, 0.0), QUARTER))
-    known.hear(TF_STATIC, tf(0.0, 'map', 'rope', (0.0, 7.0, 0.0)))
-    found = known.move(messages.header(SECOND, 'rope'))
+    known = inputs(tf=True)
+    known.update(TF_STATIC, tf(0.0, 'earth', 'map', (100.0, 0.0, 0.0)), 0.0)
+    known.update(TF, tf(1.0, 'earth', 'odom', (100.0, 5.0, 0.0), QUARTER), 0.0)
+    known.update(TF_STATIC, tf(0.0, 'map', 'rope', (0.0, 7.0, 0.0)), 0.0)
+    found = known.transforms.move(messages.header(SECOND, 'rope'))
     np.testing.assert_allclose(found[:3, 3], [2.0, 0.0, 0.0], atol=1e-12)
 
 
@@ -189,8 +189,15 @@ def test_a_frame_that_lies_in_itself_leads_nowhere():
     box.update(TF, tf(1.0, 'a', 'odom', (0.0, 0.0, 0.0)), 0.0)
     box.update(TF, tf(1.0, 'odom', 'a', (0.0, 0.0, 0.0)), 0.0)
     assert 'missing transform' in refusal(box)[0]
-    for name in ('a', '', 'b' * 999):
-        assert '/tf refused: frames is ' in box.update(TF, tf(1.0, 'a', name, np.zeros(3)), 0.0)
+
+
+@pytest.mark.parametrize('name', ['odom', '', 'b' * 999])
+def test_a_transform_without_a_proper_frame_is_refused_alone(name):
+    box = inputs(tf=True)
+    wrong, rope = (tf(1.0, 'odom', each, np.zeros(3)) for each in (name, 'rope'))
+    wrong.transforms += rope.transforms
+    assert '/tf refused: frames is ' in box.update(TF, wrong, 0.0)
+    assert box.transforms.move(messages.header(SECOND, 'rope')) is not None
 
 
 @pytest.mark.parametrize(

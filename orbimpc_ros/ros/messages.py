@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
@@ -313,7 +313,8 @@ class PoseTwistSynchronizer:
         (stamp, pose), (other, twist) = (self._latest[each] for each in POSE_TWIST)
         self._unequal = 0 if stamp == other else self._unequal + 1
         alone = self._unequal > PAIRED if topic == 'pose' else self._joined_at < 0
-        if stamp == self._joined_at or not (alone or stamp == other):
+        answered = topic == 'twist' and stamp == self._joined_at
+        if answered or not (alone or stamp == other):
             return None
         if abs(stamp - other) > APART:
             apart = f'{abs(stamp - other) / SECOND:.3g} s from that of pose'
@@ -473,23 +474,11 @@ LIFETIME = 3.0  # [steps] after which markers of a dead node vanish
 
 
 def read_obstacle(
-    marker: Marker,
-    dimension: int,
-    frames: Frames,
-    move_of: Callable[[Header], Array | None] = lambda _header: None,
-) -> tuple[Stamp, ObservedBody] | str | None:
-    """Return the body shown by a marker, with its stamp, or what the marker removes.
-
-    The latter is the name of a body, or None for all bodies. ``move_of`` finds the move of a
-    header.
-    """
-    if marker.action == Marker.DELETEALL:
-        return None
+    marker: Marker, dimension: int, frames: Frames, move: Array | None = None
+) -> tuple[Stamp, ObservedBody]:
+    """Return the stamp of a marker, and the body that it shows, named ``ns/id``."""
     if len(marker.ns) > LONGEST_FRAME:
         raise BadInput('ns', repr(marker.ns), f'at most {LONGEST_FRAME} characters')
-    name = f'{marker.ns}/{marker.id}'
-    if marker.action == Marker.DELETE:
-        return name
     if marker.action != Marker.ADD:
         raise BadInput('action', marker.action, 'ADD or MODIFY (0) | DELETE (2) | DELETEALL (3)')
     if marker.type not in KINDS:
@@ -499,11 +488,11 @@ def read_obstacle(
     if not ((sizes > 0.0) & (sizes <= LARGEST)).all():  # also refuses NaN
         raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {LARGEST:g}')
     # It has the header and pose of a sighting, but no thrust axis.
-    stamp, seen = read_sighting(marker, 3, Frames(frames.world), move_of(marker.header))
+    stamp, seen = read_sighting(marker, 3, Frames(frames.world), move)
     assert seen.attitude is not None
     body = _body(marker.type, seen.position, seen.attitude, sizes, dimension)
     lasting = nanoseconds(marker.lifetime, 'lifetime') / SECOND or math.inf  # 0: for ever
-    return stamp, ObservedBody(name, seen.time, body, lasting)
+    return stamp, ObservedBody(f'{marker.ns}/{marker.id}', seen.time, body, lasting)
 
 
 def _body(kind: int, middle: Array, turned: Array, size: Array, dimension: int) -> Box | Ball:

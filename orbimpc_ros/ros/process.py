@@ -97,13 +97,16 @@ class Managed(LifecycleNodeMixin, Node):
         LifecycleNodeMixin.__init__(self)
         self._change: Callable[[Any, Any], Any] = self._service_change_state.callback
         self._service_change_state.callback = self.guard(self._on_change_state)
-        self.given = {name: each.value for name, each in self._parameter_overrides.items()}
+        overrides = {name: each.value for name, each in self._parameter_overrides.items()}
+        # rcl reads [], as dumped for an empty list, as no value.
+        self.given = {name: () if value is None else value for name, value in overrides.items()}
         spec.refuse_unknown(self.given, self.specs)
         self._values = spec.completed(self.specs, self.given)
         self._values['use_sim_time'] = self.get_parameter('use_sim_time').value
         self.settings = self.settings_of(self._values)
         for each in self.specs:
-            self.declare_parameter(each.name, self._values[each.name], each.descriptor)
+            own = each.name, self._values[each.name], each.descriptor
+            self.declare_parameter(*own, ignore_override=True)
         self.add_on_set_parameters_callback(self._on_set)
         self.add_post_set_parameters_callback(self._on_changed)
 

@@ -10,7 +10,7 @@ of arrival, so that a recording gives the same results without tf2's buffer, whi
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -122,29 +122,24 @@ class Transforms:
         """Forget all transforms except permanent ones."""
         self._edges = {child: each for child, each in self._edges.items() if each.fixed}
 
-    def hear(self, topic: str, message: Any, judge: Callable[[int], object] = int) -> None:
-        """Take in a tf2_msgs/TFMessage; samples out of order are ignored.
+    def hear(self, link: Any, stamp: int, *, fixed: bool) -> None:
+        """Take in a TransformStamped, permanent or for a stamp [ns]; an older one is ignored.
 
         Raises:
-            BadInput: a transform has no valid stamp or frame, ``judge`` refuses the stamp [ns], or
-                there are too many frames.
+            BadInput: it has no valid frames, or there are too many.
         """
-        for each in message.transforms:
-            parent, child = each.header.frame_id, each.child_frame_id
-            length = len(parent + child)
-            if not parent or not child or parent == child or length > messages.LONGEST_FRAME:
-                raise BadInput('frames', f'{parent!r} and {child!r}', 'two different short names')
-            edge, fixed = self._edges.get(child), topic == TF_STATIC
-            if edge is None and len(self._edges) >= MOST_FRAMES:
-                raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
-            stamp = messages.nanoseconds(each.header.stamp, 'header.stamp')
-            if not fixed:  # else all later ones would be out of order
-                judge(stamp)
-            if edge is None or fixed or edge.fixed or edge.parent != parent:
-                edge = self._edges[child] = Edge(parent, child, fixed)
-            if not edge.samples or stamp > edge.samples[-1][0]:
-                edge.samples.append((stamp, each.transform))
-                del edge.samples[:-MOST_SAMPLES]
+        parent, child = link.header.frame_id, link.child_frame_id
+        length = len(parent + child)
+        if not parent or not child or parent == child or length > messages.LONGEST_FRAME:
+            raise BadInput('frames', f'{parent!r} and {child!r}', 'two different short names')
+        edge = self._edges.get(child)
+        if edge is None and len(self._edges) >= MOST_FRAMES:
+            raise BadInput('frames', 'one more', f'at most {MOST_FRAMES}')
+        if edge is None or fixed or edge.fixed or edge.parent != parent:
+            edge = self._edges[child] = Edge(parent, child, fixed)
+        if not edge.samples or stamp > edge.samples[-1][0]:
+            edge.samples.append((stamp, link.transform))
+            del edge.samples[:-MOST_SAMPLES]
 
     def move(self, header: Header, at: int | None = None) -> Array | None:
         """Return the matrix from the frame of a header to the world; None if that is its frame.

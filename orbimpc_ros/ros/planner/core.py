@@ -12,11 +12,12 @@ import math
 import statistics
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from visualization_msgs.msg import Marker
 
 from orbimpc_ros.loop.capture import Events
 from orbimpc_ros.loop.goal.forecast import FORECASTS
@@ -146,30 +147,48 @@ class Inputs:
     # --- messages
 
     def update(self, topic: str, message: Any, now: float, ros: int | None = None) -> str:
-        """Take in a message; return why it was refused, or an empty string."""
-        odd = ''
-        try:
-            if topic in messages.POSE_TWIST:
-                topic, message = 'odom', self._synchronizer.take(topic, message)
-            if message is None:
-                return ''  # waits for the other half
-            if topic in TRANSFORMS:
-                self.transforms.hear(topic, message, lambda stamp: _past(stamp, ros, AHEAD))
-            elif topic == OBSTACLES:
-                odd = self._take_obstacles(message, now, ros)
-            else:
-                self._take(topic, message, now, ros)
-        except BadInput as error:
-            self.refused[f'{topic}: {error.culprit}'] += 1
-            return f'{self._named(topic)} refused: {error}'
+        """Take in a message; return why it, or a part of it, was refused, or an empty string.
+
+        Markers and transforms are taken in one by one; the first one refused or unusual is named.
+        """
+        odd = list[tuple[str, str]]()  # culprits and descriptions
+        parts: Sequence[Any] = (message,)
+        take: Callable[..., str | None] = self._take
+        if topic == OBSTACLES:
+            parts, take = message.markers, self._take_marker
+            self.latest[OBSTACLES] = Received(Stamp(max(0, stamp_of(message))), None, now)
+        elif topic in TRANSFORMS:
+            parts, take = message.transforms, self._take_transform
+        if len(parts) > MOST:  # reading them all would take too long
+            many = f' refused: count is {len(parts)}; allowed: {MOST}: the rest are ignored'
+            odd.append(('count', many))
+        for part in parts[:MOST]:
+            try:
+                if jump := take(topic, part, now, ros):
+                    odd.append(('jump', f': {jump}'))
+            except BadInput as error:  # noqa: PERF203
+                odd.append((error.culprit, f' refused: {error}'))
         latest, at = self.latest, self._time
-        for topic, shared in self._shared.items():
-            if topic in latest and latest[topic].stamp.nanoseconds == at:
+        for name, shared in self._shared.items():
+            if name in latest and latest[name].stamp.nanoseconds == at:
                 shared[-1:] = [True]
-        return odd
+        self.refused.update(f'{topic}: {culprit}' for culprit, _ in odd)
+        more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
+        return f'{self._named(topic)}{odd[0][1]}{more}' if odd else ''
+
+    def _take_transform(self, topic: str, link: Any, _now: float, ros: int | None) -> None:
+        """Take in a transform, or raise BadInput."""
+        stamp = messages.nanoseconds(link.header.stamp, 'header.stamp')
+        if topic == TF:  # else all later ones would be out of order
+            _past(stamp, ros, AHEAD)
+        self.transforms.hear(link, stamp, fixed=topic == TF_STATIC)
 
     def _take(self, topic: str, message: Any, now: float, ros: int | None) -> None:
         """Take in odometry, a goal, a wind or another vehicle's plan, or raise BadInput."""
+        if topic in messages.POSE_TWIST:
+            topic, message = 'odom', self._synchronizer.take(topic, message)
+        if message is None:
+            return  # waits for the other half
         settings, last, is_goal = self.settings, self.latest.get(topic), topic in GOALS
         move = self.transforms.move(message.header) if is_goal or topic in self.others else None
         stamp, value = read(topic, message, settings, move)
@@ -297,34 +316,19 @@ class Inputs:
 
     # --- moving obstacles
 
-    def _take_obstacles(self, message: Any, now: float, ros: int | None) -> str:
-        """Take in markers one by one; describe the first rejected or unusual one."""
-        odd, count = list[tuple[str, str]](), len(message.markers)  # culprits and descriptions
-        if count > MOST:  # reading them all would take too long
-            many = f' refused: count is {count}; allowed: {MOST}: the rest are ignored'
-            odd.append(('count', many))
-        for marker in message.markers[:MOST]:
-            try:
-                if jump := self._take_marker(marker, ros):
-                    odd.append(('jump', f': {jump}'))
-            except BadInput as error:  # noqa: PERF203
-                odd.append((error.culprit, f' refused: {error}'))
-        self.latest[OBSTACLES] = Received(Stamp(max(0, stamp_of(message))), None, now)
-        self.refused.update(f'{OBSTACLES}: {culprit}' for culprit, _ in odd)
-        more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
-        return f'{self._named(OBSTACLES)}{odd[0][1]}{more}' if odd else ''
-
-    def _take_marker(self, marker: Any, ros: int | None) -> str:
+    def _take_marker(self, _topic: str, marker: Any, _now: float, ros: int | None) -> str:
         """Take in a marker, or raise BadInput; describe it if it is unusual."""
-        frames, move = self.settings.frames, self.transforms.move
-        seen = read_obstacle(marker, self.settings.problem.dimension, frames, move)
-        if seen is None:
-            self.bodies.clear()
+        name, everything = f'{marker.ns}/', marker.action == Marker.DELETEALL
+        if everything or marker.action == Marker.DELETE:
+            gone = [f'{name}{marker.id}']
+            if everything:  # in its namespace, if it has one
+                gone = [each for each in self.bodies if name in ('/', each.rstrip('-0123456789'))]
+            for each in gone:
+                self.bodies.pop(each, None)
             return ''
-        if isinstance(seen, str):
-            self.bodies.pop(seen, None)
-            return ''
-        stamp, body = seen[0].nanoseconds, seen[1]
+        context = self.settings.problem.dimension, self.settings.frames
+        at, body = read_obstacle(marker, *context, self.transforms.move(marker.header))
+        stamp = at.nanoseconds
         _past(stamp, ros, self.settings.future_tolerance + self.lag)
         limit, age = min(body.lifetime, COMPARABLE), (self._time - stamp) / SECOND
         if age > limit and stamp == 0:
@@ -409,8 +413,9 @@ class Inputs:
 
     def _named(self, topic: str) -> str:
         """Return the full name of a topic, or of the two that odometry comes on."""
-        halves = topic == 'odom' and self.settings.odometry == 'pose_twist'
-        return ' and '.join(map(self._resolve, messages.POSE_TWIST if halves else (topic,)))
+        pair = messages.POSE_TWIST
+        halves = topic in ('odom', *pair) and self.settings.odometry == 'pose_twist'
+        return ' and '.join(map(self._resolve, pair if halves else (topic,)))
 
     @property
     def untimed(self) -> str:

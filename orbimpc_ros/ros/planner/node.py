@@ -55,15 +55,19 @@ class EndpointMonitor:
         mismatches: why ends are incompatible, by topic; empty where they match.
     """
 
-    def __init__(self, node: Node, odometry: Subscription, velocity: Publisher | None) -> None:
-        self._node, self._odometry, self._velocity = node, odometry, velocity
+    def __init__(
+        self, node: Node, odometry: Iterable[Subscription], velocity: Publisher | None
+    ) -> None:
+        self._node, self._odometry, self._velocity = node, tuple(odometry), velocity
         self._rota: list[Any] = []
         self.mismatches: dict[str, str] = {}
         self.sources = self.rivals = ''
 
     def look(self) -> None:
         """Check publishers of odometry and commands, and the ends of one more topic."""
-        self.sources = self._several(self._odometry, ', of which only one can be right')
+        consequence = ', of which only one can be right'
+        sources = [self._several(each, consequence) for each in self._odometry]
+        self.sources = next(filter(None, sources), '')
         self.rivals = self._several(self._velocity, ': the vehicle hears them all')
         self._rota = self._rota or [*self._node.publishers, *self._node.subscriptions]
         end = self._rota.pop()
@@ -224,7 +228,7 @@ class PlannerNode(Managed):
             for topic, profile in ((TF, qos(TRANSFORMS)), (TF_STATIC, lasting)):
                 self.create_subscription(kind, topic, self.guard(self._hear, topic), profile)
         self._obstacles = listening[core.OBSTACLES]
-        measured = listening[odometry[0]]
+        measured = (listening[topic] for topic in odometry)
         self._monitor = EndpointMonitor(self, measured, self._publishers_of.get('cmd_vel'))
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
@@ -464,7 +468,10 @@ class PlannerNode(Managed):
         A line is not logged again soon, nor one that differs in numbers alone.
         """
         level, parts = self._condition()
-        current = {NUMBER.sub('#', part): (level != OK, part) for part in parts}
+        current = {
+            NUMBER.sub('#', part): (level != OK and part not in outputs.NORMAL, part)
+            for part in parts
+        }
         news = {kind: each for kind, each in current.items() if kind not in self._current}
         for kind, (odd, part) in self._current.items():
             if odd and kind not in current:

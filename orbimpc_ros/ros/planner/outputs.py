@@ -34,6 +34,7 @@ NO_PLAN |= dict.fromkeys(('projection_distance', 'clearance'), math.nan)
 UNHEARD: dict[str, Any] = {'goal_stamps': {}, 'goal_counts': {}, 'traffic_stamps': {}}
 ANOTHER_PLAN = 0.01  # unexplained share of the gradient above which a plan is not optimal
 LONGEST = 60  # steps; prices of longer plans take milliseconds
+NORMAL = 'ready', 'planning'  # conditions before and after the first decision
 
 
 def level(decision: Decision) -> bytes:
@@ -111,9 +112,9 @@ def condition(
         return ERROR, errors
     if waiting:
         return WARN, [waiting, *warnings]
-    worst, message = OK, 'ready'
+    worst, message = OK, NORMAL[0]
     if decision is not None:
-        worst, message = level(decision), decision.reason or 'planning'
+        worst, message = level(decision), decision.reason or NORMAL[1]
     return WARN if worst == OK and warnings else worst, [message, *warnings]
 
 
@@ -253,7 +254,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
     problem, floor = settings.problem, settings.problem.floor
     rate, ahead = problem.max_rate, problem.horizon * problem.step
     turned = math.degrees(ahead * rate)
-    needed = math.ceil(math.pi / (problem.step * rate or math.inf))
+    needed = np.ceil(math.pi / max(problem.step * rate, 1e-300))
     warnings = {
         f'max_rate is {rate:g} rad/s, {math.degrees(rate):.4g} deg/s: '
         f'{math.radians(rate):.4g} rad/s if {rate:g} deg/s is meant': rate > BRISK,
@@ -266,7 +267,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
             problem.rotation_order == 2 and not {'response.speed', 'response.rate'} & given.keys(),
         # Interception plans beyond the horizon.
         f'within {ahead:.4g} s of horizon the vehicle turns by at most {turned:.4g} deg: it may '
-        f'never turn round to a goal behind it; half a turn takes a horizon of {needed}':
+        f'never turn round to a goal behind it; half a turn takes a horizon of {needed:.7g}':
             not settings.catch_radius and problem.turns_are_angles and turned < 180.0,
     }  # fmt: skip
     for name, used, beside in (
