@@ -309,12 +309,16 @@ class Problem:
         return self.rotation_order == 2 and self.floor.exists
 
     @cached_property
-    def first_turn_is_a_cone(self) -> bool:
-        """Return True if ``max_rate`` with a floor confines R_1 e1 to a convex cone.
+    def turned_cones(self) -> dict[int, float]:
+        """Return by step k the angle of the cone about Q_0 e1 that holds R_k e1 [rad] (3.6c)."""
+        limited = self.turns_are_angles and self.rotation_order == 1
+        angles = {k: k * self.widest_turn for k in range(1, self.horizon + 1) if limited}
+        return {k: angle for k, angle in angles.items() if angle < math.pi}
 
-        That is the cone about Q_0 e1, convex up to a quarter turn.
-        """
-        return self.rotation_order == 1 and self.turns_are_angles and self.widest_turn < WIDEST_CONE
+    @cached_property
+    def first_turn_is_a_cone(self) -> bool:
+        """Return True if R_1 e1 has such a cone that is convex: below a quarter turn."""
+        return self.turned_cones.get(1, math.pi) < WIDEST_CONE
 
     @cached_property
     def maps(self) -> Maps:

@@ -390,12 +390,11 @@ class Statement:
 
     def _cones(self, state: State, limits: Limits) -> list[Cone]:
         """Return cones, including those that headings can only leave by turns of several steps."""
-        problem, cones = self.problem, [each for each in limits.cones if each.steps]
-        if problem.dimension == 2 or problem.rotation_order == 2 or not problem.turns_are_angles:
+        cones = [each for each in limits.cones if each.steps]
+        if self.problem.dimension == 2:  # sectors are narrower
             return cones
-        axis, turn = state.attitude[:, 0].tolist(), problem.widest_turn
-        steps = range(1, 1 + min(problem.horizon, math.ceil(math.pi / turn) - 1))
-        return cones + [Cone(axis, k * turn + WIDER, 0.0, [k]) for k in steps]
+        axis, turned = state.attitude[:, 0].tolist(), self.problem.turned_cones.items()
+        return cones + [Cone(axis, angle + WIDER, 0.0, [k]) for k, angle in turned]
 
     def _coned(self, cones: Sequence[Cone]) -> dict[str, Any]:
         """Return the cones of each step, and the last one in the plane, which a sector meets."""

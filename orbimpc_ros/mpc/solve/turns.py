@@ -42,9 +42,9 @@ class Turns:
         # At a speed all headings allow, the turn whose chord is that of the widest at least speed.
         half = self._least * math.sin(0.5 * self._widest) / floor.circling(n)
         self._turn = 2.0 * math.asin(min(1.0, half))
-        first = 2 if problem.first_turn_is_a_cone else 1
-        most = min(problem.horizon, math.ceil(math.pi / problem.widest_turn) - 1)
-        self._steps = range(first, most + 1) if problem.rotation_order == 1 else range(0)
+        self._cosines = {k: math.cos(angle) for k, angle in problem.turned_cones.items()}
+        if problem.first_turn_is_a_cone:
+            del self._cosines[1]
 
     def rows(self, state: State, *, narrow: bool = False) -> tuple[Row, ...]:
         """Return half-spaces that hold for all headings the vehicle can have reached by a step.
@@ -56,8 +56,7 @@ class Turns:
             narrow: whether the half-space of the first turn has to imply its angle limit.
         """
         axis, rows = state.attitude[:, 0], list[Row]()
-        for k in self._steps:
-            share = math.cos(k * self._problem.widest_turn)
+        for k, share in self._cosines.items():
             bound = max if narrow and k == 1 else min
             rows.append(Row(k - 1, self._shares[k - 1], axis, bound(share, self._least * share)))
         return tuple(rows)
