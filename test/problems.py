@@ -112,6 +112,7 @@ OPEN: dict[str, dict[str, Any]] = {
     'circle, arrival, acceleration': {**ROUND, 'max_acceleration': 0.2, **ARRIVES},
     'circle, hazards': {**ROUND, 'max_rate': 0.9, 'hazards': 1},
     'shell, arrival': {**SPACE, **ROUND, 'input': 0.0, **ARRIVES},
+    'shell, no turns': {**SPACE, **ROUND, 'max_rate': 1e-320},
     'space, coasting, length': {**SPACE, **COASTS, 'length': 0.3},
     'circle, acceleration': {
         'floor': Floor('circle', fraction=0.8),

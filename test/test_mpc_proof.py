@@ -27,8 +27,6 @@ from orbimpc_ros.mpc.proof.stated import ENDS, NO_LIMITS, STEP, Body, Cone, Stat
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, EMPTY, LEAF, ROW, SPEED, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
-OF_A_COST = 1e-9
-
 
 @cache
 def certificates(seed, count):
@@ -63,7 +61,7 @@ def test_fractions_prove_what_floats_do(seed):
         problem, state, goals, limits, _ = each.posed
         floats = Verifier(problem).bound(state, goals, each.tree)
         exact = Verifier(problem, Fraction).bound(state, goals, each.tree, None, limits)
-        assert max(floats, exact) <= each.cost * (1.0 + OF_A_COST)
+        assert max(floats, exact) <= each.cost * (1.0 + adversary.ROUNDING)
         proved += exact == floats or abs(exact - floats) < 1e-9 * (abs(exact) + 1.0)
         stated = Statement(problem).of(state, goals, limits)  # compiled code does not check it
         for part in (each for each in stated if isinstance(each, tuple)):
@@ -87,7 +85,7 @@ def test_trees_of_wrong_shape_prove_nothing(seed):
         verifier = Verifier(problem)
         for _ in range(40):
             bound = verifier.bound(*asked, _tampered(each.tree, rng))
-            assert bound <= each.cost * (1.0 + OF_A_COST)
+            assert bound <= each.cost * (1.0 + adversary.ROUNDING)
         assert verifier.bound(*asked, each.tree) == Verifier(problem).bound(*asked, each.tree)
 
 

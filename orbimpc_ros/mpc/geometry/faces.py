@@ -46,6 +46,7 @@ def normals(dimension: int, faces: int) -> Array:
     return sealed(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
+@lru_cache(maxsize=8)
 def cap(tilt: float) -> Array:
     """Return the corners of four triangles that cover a cap of the sphere, shape (4, 3, 3).
 
@@ -59,7 +60,7 @@ def cap(tilt: float) -> Array:
         [math.sin(wide) * np.cos(around), math.sin(wide) * np.sin(around), height]
     )
     up = np.array([0.0, 0.0, 1.0])
-    return np.array([[up, outer[i], outer[i + 1]] for i in range(QUARTERS)])
+    return sealed(np.array([[up, outer[i], outer[i + 1]] for i in range(QUARTERS)]))
 
 
 @lru_cache(maxsize=1)

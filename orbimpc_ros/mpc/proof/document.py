@@ -21,11 +21,10 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of, whole
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
-from orbimpc_ros.mpc.geometry.faces import STEEPEST_CAP
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Approach, Ball, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import WEIGHTS, Case, body_of
-from orbimpc_ros.mpc.proof.stated import PARTS, UP, Body, Cone, Limits, Statement
+from orbimpc_ros.mpc.proof.stated import PARTS, Body, Cone, Limits, Statement
 from orbimpc_ros.mpc.proof.tree import (
     ARRAYS,
     EMPTY,
@@ -322,9 +321,6 @@ def _posed(document: Any) -> Posed:
     if state.wanted is None and problem.weights.attitude:
         raise BadInput('state.wanted', None, 'a rotation')
     limits = _limits(document.get('limits', {}), n, count)
-    tilt = next((each.angle for each in limits.cones if each.axis == UP), 0.0)
-    if problem.inertial and tilt <= STEEPEST_CAP:  # splits may begin with patches of the tilt's cap
-        problem = replace(problem, tilt=tilt)
     return Posed(problem, state, goals, limits)
 
 

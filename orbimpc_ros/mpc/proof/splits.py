@@ -68,17 +68,13 @@ def begin(stated, origins, part, span):
         ``HELD``; ``GONE`` without trajectories; ``WRONG`` if the origins are invalid.
     """
     count = len(stated.goals)
-    part[:], full_speed = WHOLE, 1 + 0 * stated.full
-    span[:, 0], span[:, 1] = 0 * stated.full, stated.full
-    for k in range(count):
-        changed, turns = (k + 1) * stated.change, (k + 2 - stated.order) * stated.turn
-        slow = max(stated.least, stated.entry - changed) if k > 0 else stated.slow
-        fast = min(full_speed, stated.entry + changed) if k > 0 else stated.fast
-        span[count + k, 0], span[count + k, 1] = slow, fast
-        if slow > fast:
+    part[:], span[:, 0], span[:, 1] = WHOLE, 0 * stated.full, stated.full
+    for c in range(2 * count):
+        span[c, 0], span[c, 1] = stated.spans[c, 0], stated.spans[c, 1]
+        if span[c, 0] > span[c, 1]:
             return GONE
-        if stated.turn >= 0:
-            part[k], span[k, 0], span[k, 1] = 0, stated.low - turns, stated.high + turns
+        if c < count and stated.turn >= 0:
+            part[c] = 0
     for k in range(len(origins)):
         if stated.exchanged == 0 or origins[k] != origins[0] or not abs(origins[k]) <= FARTHEST:
             return WRONG

@@ -40,7 +40,7 @@ from orbimpc_ros.mpc.proof.flight import (
 from orbimpc_ros.mpc.proof.tree import NOWHERE, POINTS
 
 NARROW = 1e-9  # [rad] margin to a turn, or half a turn, of sectors treated as smaller
-WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles
+WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles and arc tangents
 ROUNDING = 1e-15  # added to a chord
 INWARD = 1.0 - 1e-12  # factor of a speed, for rounding
 UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
@@ -146,23 +146,20 @@ class Stated(NamedTuple):
         aimed: weight of the squared coordinates of R_N - R_g.
         exchanged: number of the first steps that are exchangeable: the cost depends only on the sum
             of their headings and on their lengths, and the floor is their only limit.
-        low: least direction in the plane from which turns are limited [rad].
-        high: the greatest one, which differs by a margin for rounding.
+        spans: initial ranges of directions in the plane [rad], if turns are limited, and of speeds,
+            shape (2 N, 2).
         turn: largest change of direction in a step [rad]; negative without a limit.
-        entry: initial speed.
         change: largest change of speed in a step; 2 without a limit.
-        slow: least speed of the first step.
-        fast: greatest speed of the first step.
         aim: direction of the approach in the plane [rad].
         aside: largest angle from it [rad]; negative without a limit.
         least: the floor's share of full speed; for a polygon or solid, the distance of its faces.
         share: angle between the normals of a polygon in the plane [rad]; 0 without.
         faces: normals of the faces of a polygon or solid, shape (F, n).
-        patches: triangles that cover all directions in space, and then those that cover the
-            tilt's cap, shape (F, 3, 3).
+        patches: triangles that cover all directions in space, and then those that cover the cap of
+            a cone about +z, shape (F, 3, 3).
         cone_step: heading 0..N-1 of each cone, shape (Q,).
         cones: their axes, unit vectors; cosine and sine of their angles, their least speeds, and 1
-            if the patches of the tilt's cap cover them, shape (Q, n + 4).
+            if the patches of the cap cover them, shape (Q, n + 4).
         arrives: number of vectors that vanish at the end: s_N - g_N, and p_N.
         chord: largest chord of R e1 in a step; negative without a limit.
         begun: first step, of 0..N-1, to which the chord applies.
@@ -183,13 +180,9 @@ class Stated(NamedTuple):
     turned: Number
     aimed: Number
     exchanged: int
-    low: Number
-    high: Number
+    spans: Rows
     turn: Number
-    entry: Number
     change: Number
-    slow: Number
-    fast: Number
     aim: Number
     aside: Number
     least: Number
@@ -225,7 +218,6 @@ class Statement:
         w, plane, late = problem.weights, problem.dimension == 2, problem.rotation_order == 2
         self._width = 2 if plane else 9 if w.input or w.attitude or late else 3
         self._motion = self._moved()
-        self._caps = [cap(problem.tilt)] if 0.0 < problem.tilt <= STEEPEST_CAP else []
         free = not (late or problem.max_rate or problem.inertial or w.position or w.input)
         self._alike = plane and free  # the first steps are, unless limits from a state differ
         self.base = self._stated()
@@ -257,7 +249,9 @@ class Statement:
         outward = self._rows(normals(3, faces) if faces and n == 3 else np.zeros((0, n)))
         if share:
             outward = np.array([direction(i * share) for i in range(faces)])
-        patches = [icosahedron(), *self._caps] if n == 3 else [np.zeros((0, 3, 3))]
+        least = problem.least_speed if floor.shape in SPEEDS else 0.0
+        spans = self._rows(np.full((2 * count, 2), [least, 1.0]))
+        spans[:count] = number(0), TURN[number]
         still = self._rows(np.zeros((6, self._width)))
         return Stated(
             n=n,
@@ -269,14 +263,14 @@ class Statement:
             goals=self._rows(np.zeros((count, n + 1))),
             **self._weighed(),
             exchanged=0,
-            **dict.fromkeys(('low', 'high', 'entry', 'slow', 'aim', 'sine', 'cosine'), number(0)),
-            change=number(2),
-            fast=number(1),
+            spans=spans,
             **dict.fromkeys(('turn', 'aside'), number(-1)),
-            least=number(problem.least_speed if floor.shape in SPEEDS else 0),
+            change=number(2),
+            **dict.fromkeys(('aim', 'sine', 'cosine'), number(0)),
+            least=number(least),
             share=share,
             faces=outward,
-            patches=self._rows(np.concatenate(patches)),
+            patches=self._rows(icosahedron() if n == 3 else np.zeros((0, 3, 3))),
             cone_step=np.zeros(0, np.int64),
             cones=self._rows(np.zeros((0, n + 4))),
             arrives=(1 + problem.inertial) * (problem.terminal == 'constraint'),
@@ -336,8 +330,9 @@ class Statement:
         """
         base, start, origin = self.base, self._begun(state), self._numbers(state.position)
         cones = self._cones(state, limits)
-        made = {**self._turned(state), **self._paced(state, limits), **self._coned(cones)}
-        made['goals'] = goals = base.goals.copy()
+        goals, spans = base.goals.copy(), base.spans.copy()
+        turned = {**self._turned(state, spans), **self._paced(state, limits, spans)}
+        made = {'goals': goals, 'spans': spans, **turned, **self._coned(cones)}
         goals[:, :-1] = self._numbers(aims) - origin
         if limits.glide_slope:
             goals[:, -1] = self._rows(limits.eased)
@@ -374,19 +369,23 @@ class Statement:
 
     # --- the limits of single steps
 
-    def _paced(self, state: State, limits: Limits) -> dict[str, Any]:
-        """Return the limits on speeds."""
+    def _paced(self, state: State, limits: Limits, spans: Rows) -> dict[str, Any]:
+        """Limit speeds; return the limit on their changes."""
         problem, number, coasted = self.problem, self._number, state.coasted
-        least, full, late = self.base.least, self.base.fast, problem.rotation_order == 2
+        speeds, late = spans[problem.horizon :], problem.rotation_order == 2
         if late and coasted is None:  # R_1 is given: its factor is 1, and no speed to change from
-            return {'slow': full, 'fast': full}
+            speeds[0] = number(1)
+            return {}
         entry, change = number(limits.entry), number(min(2.0, limits.change))
-        slow, fast = max(least, entry - change), min(full, entry + change)
+        if change < 2:
+            changed = change * self._rows(np.arange(1, problem.horizon + 1))
+            speeds[:, 0] = np.maximum(speeds[:, 0], entry - changed)
+            speeds[:, 1] = np.minimum(speeds[:, 1], entry + changed)
         if coasted is not None and late and problem.floor.shape == 'polygon':
             along = max(self.base.faces @ self._rows(coasted[:, 0]))
             if 0 < along < 1:  # on this axis the faces are farther
-                slow = max(slow, least / along * number(INWARD))
-        return {'entry': entry, 'change': change, 'slow': slow, 'fast': fast}
+                speeds[0, 0] = max(speeds[0, 0], self.base.least / along * number(INWARD))
+        return {'change': change}
 
     def _cones(self, state: State, limits: Limits) -> list[Cone]:
         """Return cones, including those that headings can only leave by turns of several steps."""
@@ -404,8 +403,10 @@ class Statement:
         axes = self._rows([each.axis for each in cones])
         units = axes / roots((axes * axes).sum(axis=1))[:, None]
         angles = np.array([direction(number(each.angle)) for each in cones])
-        tilt = self.problem.tilt if self._caps else None
-        least = [(each.least, each.axis == UP and each.angle == tilt) for each in cones]
+        caps = [each.angle for each in cones if each.axis == UP and each.angle <= STEEPEST_CAP]
+        if caps:
+            made['patches'] = np.concatenate([self.base.patches, self._rows(cap(caps[0]))])
+        least = [(each.least, each.axis == UP and each.angle in caps[:1]) for each in cones]
         rows = np.concatenate([units, angles, self._rows(least)], axis=1)
         made['cones'] = np.repeat(rows, [len(each.steps) for each in cones], axis=0)
         made['cone_step'] = np.array([k - 1 for each in cones for k in each.steps], np.int64)
@@ -415,8 +416,8 @@ class Statement:
                 made['aside'] = number(each.angle) + number(WIDER)
         return made
 
-    def _turned(self, state: State) -> dict[str, Any]:
-        """Return the limits on turns in the plane."""
+    def _turned(self, state: State, spans: Rows) -> dict[str, Any]:
+        """Limit directions in the plane to those that turns reach; return the limit on turns."""
         problem, number = self.problem, self._number
         turn, late = number(problem.step) * number(problem.max_rate), problem.rotation_order == 2
         limited = problem.dimension == 2 and problem.turns_are_angles and turn < UNTURNED
@@ -424,12 +425,10 @@ class Statement:
             return {}
         ahead = state.coasted if late and state.coasted is not None else state.attitude
         heading, wider = number(math.atan2(ahead[1, 0], ahead[0, 0])), number(WIDER)
-        if number is not float:  # floats trust the arc tangent as much as cosine and sine
-            cosine, sine = direction(heading)
-            x, y = self._rows(ahead[:, 0])
-            if not abs(cosine * y - sine * x) < WIDER / 4 or not cosine * x + sine * y > 0:
-                raise BadInput('state.attitude', ahead.tolist(), 'a rotation')
-        return {'low': heading - wider, 'high': heading + wider, 'turn': turn}
+        count, first = problem.horizon, 2 - problem.rotation_order
+        turns = turn * self._rows(np.arange(first, first + count))
+        spans[:count] = np.stack([heading - wider - turns, heading + wider + turns], axis=1)
+        return {'turn': turn}
 
     # --- the constraints between steps
 
