@@ -417,5 +417,5 @@ def test_without_its_messages_a_line_says_what_to_install(launch, monkeypatch):
     monkeypatch.setenv('PYTHONPATH', BEFORE)
     planner = launch('planner', {}, 'px4')
     assert planner.wait() == 2
-    said = 'autopilot: px4, and px4_msgs is missing; install ros-<distro>-px4-msgs'
-    assert planner.output.strip() == said
+    said = 'px4_msgs is missing; install ros-<distro>-px4-msgs, or build it in your workspace'
+    assert planner.output.strip() == f'autopilot: px4, and {said}'

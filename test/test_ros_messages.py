@@ -109,7 +109,7 @@ REFUSED = [
     (odometry_message, 'pose.pose.position.y', 1e300),
     *((odometry_message, 'pose.pose.orientation.w', each) for each in (NAN, 1e200)),
     (odometry_message, 'pose.pose.orientation.x', 0.5),
-    (odometry_message, 'pose.pose.orientation', UPRIGHT),
+    *((odometry_message, 'pose.pose.orientation', q) for q in (UPRIGHT, Quaternion(x=1.0, w=0.0))),
     (odometry_message, 'twist.twist.linear.x', -INF),
     (odometry_message, 'twist.twist.angular.x', NAN),
     (odometry_message, 'twist.twist.angular.z', INF),

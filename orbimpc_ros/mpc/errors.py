@@ -33,7 +33,7 @@ class BadInput(OrbimpcError, ValueError):
     @classmethod
     def choice(cls, culprit: str, value: object, words: Iterable[str]) -> BadInput:
         """Return the error of a value that is not one of a few words, with the closest of them."""
-        choices = tuple(words)
+        choices = [each or "''" for each in words]
         close = difflib.get_close_matches(str(value), choices, n=1)
         meant = f'; did you mean {close[0]!r}?' if close else ''
         return cls(culprit, value, ' | '.join(choices) + meant)

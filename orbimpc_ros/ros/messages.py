@@ -159,7 +159,8 @@ def read_odometry(
     unit = _quaternion(pose.orientation, 'pose.orientation')
     attitude = _attitude(unit, dimension, frames)
     if attitude is None:
-        raise BadInput('pose.orientation', unit.tolist(), 'a body x axis that is not vertical')
+        allowed = 'x, y, z, w with the body z axis upwards and its x axis not vertical'
+        raise BadInput('pose.orientation', np.roll(unit, -1).tolist(), allowed)
     velocity = velocity[:dimension] if in_body else velocity[:dimension] @ attitude
     odometry = Odometry(at.nanoseconds / SECOND, place, attitude, velocity, rate)
     return Stamp(at.nanoseconds, Frames(at.frames.world, child, frames.thrust_axis)), odometry
@@ -259,7 +260,7 @@ def _stamp(header: Header, frame: str) -> Stamp:
 
 def _frame(name: str, wanted: str, culprit: str) -> str:
     if wanted and name != wanted:
-        raise BadInput(culprit, repr(name), repr(wanted))
+        raise BadInput(culprit, repr(name), f'{wanted!r} (parameter {culprit.split(".")[-1]})')
     if len(name) > LONGEST_FRAME:
         raise BadInput(culprit, repr(name), f'at most {LONGEST_FRAME} characters')
     return name
@@ -274,19 +275,20 @@ def _triple(vector: Vector3 | Point, culprit: str) -> Array:
 
 def _quaternion(message: Quaternion, culprit: str) -> Array:
     """Return the unit quaternion (w, x, y, z)."""
-    numbers = [message.w, message.x, message.y, message.z]
+    x, y, z, w = numbers = [message.x, message.y, message.z, message.w]
     norm = math.hypot(*numbers)
     if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:  # also refuses NaN
         raise BadInput(culprit, numbers, f'a unit quaternion within {QUATERNION_TOLERANCE:g}')
-    return np.array(numbers) / norm
+    return np.array([w, x, y, z]) / norm
 
 
 def _attitude(unit: Array, dimension: int, frames: Frames) -> Array | None:
-    """Return the attitude of a quaternion; None in the plane if the x axis has no yaw."""
+    """Return the attitude of a quaternion; None in the plane if it has no yaw, or z points down."""
     attitude = from_quaternion(unit, 3)
     if dimension == 3:
         return frames.turned(attitude)
-    return None if math.hypot(*attitude[:2, 0]) < STEEPEST else from_quaternion(unit, 2)
+    level = math.hypot(*attitude[:2, 0]) >= STEEPEST and attitude[2, 2] >= 0.0
+    return from_quaternion(unit, 2) if level else None
 
 
 class PoseTwistSynchronizer:
@@ -345,14 +347,12 @@ def point(position: Array) -> Point:
 
 def quaternion(rotation: Array) -> Quaternion:
     """Return a rotation, shape (n, n), as a Quaternion."""
-    w, x, y, z = to_quaternion(rotation).tolist()
-    return Quaternion(x=x, y=y, z=z, w=w)
+    return Quaternion(**dict(zip('wxyz', to_quaternion(rotation).tolist(), strict=True)))
 
 
 def vector(xyz: Array) -> Vector3:
     """Return a vector of shape (3,) as a Vector3."""
-    x, y, z = xyz.tolist()
-    return Vector3(x=x, y=y, z=z)
+    return Vector3(**dict(zip('xyz', xyz.tolist(), strict=True)))
 
 
 def angular(body_rate: Array, frames: Frames) -> Vector3:

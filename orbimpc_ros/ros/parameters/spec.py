@@ -80,7 +80,7 @@ class ParameterSpec:
         """Describe the allowed values."""
         if self.choices:
             return ' | '.join(each or "''" for each in self.choices)
-        return ALLOWED[self.kind].format(f'in [{self.low:g}, {self.high:g}]')
+        return ALLOWED[self.kind].format(f'in [{self.low:g}, {self.high:g}] {self.unit}').rstrip()
 
     @property
     def descriptor(self) -> ParameterDescriptor:

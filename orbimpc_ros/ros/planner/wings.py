@@ -63,7 +63,7 @@ def types_of(package: str, parameter: str, value: str) -> Any:
     try:
         return import_module(f'{package}.msg')
     except ModuleNotFoundError:
-        hint = f'install ros-<distro>-{package.replace("_", "-")}'
+        hint = f'install ros-<distro>-{package.replace("_", "-")}, or build it in your workspace'
         raise BadInput.stating(parameter, f'{value}, and {package} is missing', hint) from None
 
 
