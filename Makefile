@@ -16,7 +16,7 @@ QUICK = ros_* package_* loop_* mpc_check* mpc_command mpc_problem mpc_geometry m
 BIN = $(VENV)/bin
 SAY = @printf '\n== %s\n'
 # Without compiling: Python compiles what is imported, which is a small part of these packages.
-INSTALL = $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
+INSTALL = $(BIN)/python -m pip install -q --disable-pip-version-check --no-compile
 COMPILE = @$(BIN)/python -m orbimpc_ros.mpc.kernels
 
 # The nodes of tests and demos are hundreds of processes: each would compile the package anew.
