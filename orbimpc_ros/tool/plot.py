@@ -124,7 +124,7 @@ def paths(flown: Flights) -> Figure:
         _draw_flight(axes, history, kind, _plain(name))
         if len(flown) > 2:
             start = history.positions[0, : history.values['dimension']]
-            axes.text(*start, name.strip('/'), fontsize=8.5, path_effects=halo(), zorder=9)
+            axes.text(*start, f'  {name.strip("/")}', fontsize=8.5, path_effects=halo(), zorder=9)
     handles = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
     figure.legend(handles.values(), handles.keys(), loc='outside lower center', ncols=7)
     return figure
@@ -183,7 +183,7 @@ def _draw_flight(axes: Any, history: History, kind: tuple[str, str], name: str) 
     axes.plot(*path[:1].T[:n], 'o', mfc=paper(), mec=INK, ms=6, label='start', **point)
     for number, missed in enumerate(history.at(history.near_misses)[-1][:, :n], start=1):
         axes.plot(*missed[:, None], 'x', color=RED, ms=6, label='near miss', **point)
-        axes.text(*missed, str(number), color=RED, path_effects=halo(), zorder=9)
+        axes.text(*missed, f'  {number}', color=RED, path_effects=halo(), zorder=9)
     label = 'goal when caught' if history.caught else 'goal'
     axes.plot(*history.ropes[-1, :n, None], '*', color=GREEN, mec=INK, ms=14, label=label, **point)
 
