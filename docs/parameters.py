@@ -12,24 +12,23 @@ from orbimpc_ros.sim.parameters import SIM
 PAGE = """\
 # Parameters
 
-Made from the tables that the nodes declare their parameters from: `make docs` writes it anew.
+`make docs` writes this page from the tables of the nodes; `ros2 param describe` shows the same.
 
 - *live* parameters of the planner can be changed while it runs; an invalid change is rejected with
-  a reason. All others are set at the start, as are all of the simulator's. `ros2 param describe`
-  shows the same.
-- An integer is taken for any number: `1` for `1.0`. Lengths are in metres, angles in radians, times
-  in seconds, in the frames of REP-103 and REP-105.
-- A name that neither node knows is refused, so that no typing error goes unnoticed. One file may
-  serve both nodes: names that only the other one knows are passed over.
-- [Operating](operating.md#there-are-no-commands) says whether files or the command line win.
-- Both nodes have ROS's own `use_sim_time`. The planner's is true where `/clock` sets the pace, as
-  in the simulator's lock-step; the simulator makes time and ignores it.
+  a reason. All others are set at the start, as are all of the simulator's.
+- Integers are accepted for all numbers: `1` for `1.0`. Lengths are in metres, angles in radians,
+  times in seconds, in the frames of REP-103 and REP-105.
+- Unknown names are refused. One file may serve both nodes: each ignores the names that only the
+  other one has.
+- [Precedence](operating.md#there-are-no-commands) of files and command line.
+- Both nodes have ROS's own `use_sim_time`: true for a planner where `/clock` sets the pace, as in
+  lock-step; ignored by the simulator, which makes time.
 
-## What planner and simulator must agree on
+## Equal in planner and simulator
 
 {both}
 
-## What each of them has
+## Of each node
 
 {process}
 
