@@ -318,16 +318,9 @@ def test_typed_goals_and_one_kept_over_a_fresh_start_show_no_motion():
     np.testing.assert_array_equal(targets(moving, np.array([19.0]), 9.1), held)
     assert moving.update('goal', goal(0.6, 8.0), 9.2) == ''  # with any stamp
     np.testing.assert_array_equal(targets(moving, np.array([19.0]), 9.2), [[8.0, 0.0]])
-    moving.latest.clear()
+    sent(moving, 1.0, 1.1, 1.2)  # a stream soon sends its next goal, or has stopped
     moving.start_afresh()
-    assert 'goal' in moving.missing
-
-
-def test_the_last_goal_of_a_stream_is_not_kept_over_a_fresh_start(inputs):
-    """A stream soon sends its next goal, or has stopped."""
-    sent(inputs, 1.0, 1.1, 1.2)
-    inputs.start_afresh()
-    assert inputs.missing == 'odometry on odom and a goal on goal or goal_path'
+    assert moving.missing == 'odometry on odom and a goal on goal or goal_path'
 
 
 def test_a_goal_that_jumps_is_refused_until_the_old_one_is_stale(limited, inputs):

@@ -121,13 +121,7 @@ def test_deadline_and_timeouts_follow_the_period():
     assert often.problem == every_step.problem
 
 
-def test_weights_over_time_are_the_problems_sums():
-    timed = settings_of(PLANNER, forward=3.0, **{'weights.scaling': 'time'})
-    sums = settings_of(PLANNER, forward=3.0)
-    assert timed.problem == weighed(sums.problem, 'time') != sums.problem
-
-
-def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
+def test_weights_over_time_are_sums_and_those_of_thrust_are_more_unless_given():
     thrust = {'dimension': 3, 'translation_order': 2}
     timed = {**thrust, 'weights.scaling': 'time'}
     for stated, wanted in (
@@ -135,6 +129,9 @@ def test_inputs_of_thrust_weigh_more_over_time_unless_their_weight_is_given():
         ({**timed, 'weights.input': 0.05}, 0.05),
     ):  # fmt: skip
         assert completed(PLANNER, stated)['weights.input'] == wanted
+    timed = settings_of(PLANNER, forward=3.0, **{'weights.scaling': 'time'})
+    sums = settings_of(PLANNER, forward=3.0)
+    assert timed.problem == weighed(sums.problem, 'time') != sums.problem
 
 
 BAD_STARTS = [

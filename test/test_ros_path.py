@@ -8,16 +8,19 @@ from operator import le
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import planners
 import pytest
 from geometry_msgs.msg import PoseStamped
 from harness import PATIENCE, ROOT
 from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.ros import messages
 from orbimpc_ros.ros.messages import POSE_TWIST
 from orbimpc_ros.ros.planner import node as planner_node
 from orbimpc_ros.ros.planner.core import planner_of
@@ -193,11 +196,27 @@ def test_a_warning_beside_a_plan_leaves_the_plan_a_normal_condition(planner):
     assert node._current == {'planning': (False, 'planning'), 'odd': (True, 'odd')}
 
 
+def test_a_path_is_reached_at_its_end_and_another_path_or_activation_begins_anew(planner):
+    node, _ = planner
+    for places, reached in (([(0, 0), (9, 0)], False), ([(9, 0), (0, 0)], True)):
+        poses = [PoseStamped(pose=messages.pose(np.array(place))) for place in places]
+        node._hear(
+            'goal_path', PathMessage(header=messages.header(time.time_ns(), 'odom'), poses=poses)
+        )
+        assert not node._events.caught
+        hear(node, 'odom')
+        assert node._events.caught == node._shown['caught'] == reached
+        assert node._core.look_for(node._events) == 0.0  # the distance from the path
+    node.trigger_deactivate()
+    node.trigger_activate()
+    assert node._shown == {'arrived': False, 'caught': False}
+
+
 def test_either_half_of_odometry_has_one_source():
     ends = [SimpleNamespace(topic_name=name) for name in POSE_TWIST]
     counts = dict(zip(POSE_TWIST, (1, 2), strict=True))
     graph = SimpleNamespace(count_publishers=counts.get, publishers=[], subscriptions=ends)
     graph.get_publishers_info_by_topic = graph.get_subscriptions_info_by_topic = lambda _: []
-    monitor = EndpointMonitor(graph, ends, None)
+    monitor = EndpointMonitor(graph, ends, [])
     monitor.look()
     assert monitor.sources == '2 publishers on twist, of which only one can be right'

@@ -465,7 +465,6 @@ def diagnostics(
 
 # --- markers, for viewers and as input
 
-KINDS = {Marker.CUBE: 'CUBE', Marker.SPHERE: 'SPHERE', Marker.CYLINDER: 'CYLINDER'}
 FLAT = 0.02  # [m] height of planar bodies
 GREEN, BLUE, RED = (0.1, 0.6, 0.3, 1.0), (0.1, 0.4, 0.9, 1.0), (0.8, 0.2, 0.1, 0.6)
 GREY, ORANGE = (0.5, 0.5, 0.5, 0.5), (0.9, 0.5, 0.1, 1.0)
@@ -481,9 +480,8 @@ def read_obstacle(
         raise BadInput('ns', repr(marker.ns), f'at most {LONGEST_FRAME} characters')
     if marker.action != Marker.ADD:
         raise BadInput('action', marker.action, 'ADD or MODIFY (0) | DELETE (2) | DELETEALL (3)')
-    if marker.type not in KINDS:
-        allowed = ' | '.join(f'{name} ({kind})' for kind, name in KINDS.items())
-        raise BadInput('type', marker.type, allowed)
+    if marker.type not in (Marker.CUBE, Marker.SPHERE, Marker.CYLINDER):
+        raise BadInput('type', marker.type, 'CUBE (1) | SPHERE (2) | CYLINDER (3)')
     sizes = np.array([marker.scale.x, marker.scale.y, marker.scale.z])
     if not ((sizes > 0.0) & (sizes <= LARGEST)).all():  # also refuses NaN
         raise BadInput('scale', sizes.tolist(), f'sizes above 0, at most {LARGEST:g}')
@@ -568,10 +566,9 @@ def marker(
     stamp: Stamp, name: str, number: int, kind: int, color: tuple[float, ...], step: float
 ) -> Marker:
     """Return a marker at the origin, without a shape, that vanishes after some steps [s]."""
-    blank = Marker(header=header(stamp.nanoseconds, stamp.frames.world), ns=name, id=number)
-    blank.type, blank.action = kind, Marker.ADD
+    head, lasting = header(stamp.nanoseconds, stamp.frames.world), round(LIFETIME * step * SECOND)
+    blank = Marker(header=head, ns=name, id=number, type=kind, action=Marker.ADD)
     blank.pose.orientation.w = 1.0
     blank.color = ColorRGBA(**dict(zip('rgba', color, strict=True)))
-    seconds, rest = divmod(LIFETIME * step, 1.0)
-    blank.lifetime = Duration(sec=int(seconds), nanosec=int(rest * 1e9))
+    blank.lifetime = Duration(sec=lasting // SECOND, nanosec=lasting % SECOND)
     return blank

@@ -104,9 +104,8 @@ class Managed(LifecycleNodeMixin, Node):
         self._values = spec.completed(self.specs, self.given)
         self._values['use_sim_time'] = self.get_parameter('use_sim_time').value
         self.settings = self.settings_of(self._values)
-        for each in self.specs:
-            own = each.name, self._values[each.name], each.descriptor
-            self.declare_parameter(*own, ignore_override=True)
+        rows: Any = [(each.name, self._values[each.name], each.descriptor) for each in self.specs]
+        self.declare_parameters('', rows, ignore_override=True)
         self.add_on_set_parameters_callback(self._on_set)
         self.add_post_set_parameters_callback(self._on_changed)
 

@@ -425,6 +425,13 @@ class Inputs:
 
     # --- inputs of decisions
 
+    def aim(self, topic: str) -> Array | None:
+        """Return the goal, or the end of the path, last received on a topic, shape (n,) [m]."""
+        value = self._value(topic)
+        if isinstance(value, Route):
+            return np.asarray(value.positions[-1])
+        return value.position if isinstance(value, GoalObservation) else None
+
     @property
     def in_step(self) -> bool:
         """Return True if goals come with odometry, as from a simulator that waits for answers."""
@@ -619,20 +626,20 @@ class Core:
         return replace(decision, solve_time_ms=solving, heard=heard)
 
     def look_for(self, events: Events) -> float | None:
-        """Check whether the last odometry shows that the goal is caught or reached.
+        """Check whether the last odometry shows that the goal, or a path's end, is reached.
 
-        Return its distance then [m]; None without a fresh goal.
+        Return its distance then, or that of the path [m]; None without a fresh goal.
         """
         motion, measured, settings = self.seen.goal, self.seen.odometry, self.settings
         lost = self.inputs.missing or self.seen.goal_age > settings.goal_timeout
         if lost or measured is None or motion is None or isinstance(motion, np.ndarray):
             return None
         goal, approach = motion.at(np.array([measured.time]))[0], settings.approach
-        if isinstance(motion, Route):
-            goal = motion.place(np.array([motion.nearest(measured.position)]))[0]
         if approach.is_the_goals and self.seen.wanted is not None:
             approach = replace(approach, direction=tuple(self.seen.wanted[:, 0].tolist()))
         events.note(measured, goal, settings.capture_radius, settings.odom_timeout, approach)
+        if isinstance(motion, Route):
+            goal = motion.place(np.array([motion.nearest(measured.position)]))[0]
         return math.dist(measured.position, goal)
 
     def proved(self, decision: Decision, *, catches: bool = False) -> Decision:

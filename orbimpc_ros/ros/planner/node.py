@@ -34,7 +34,7 @@ from orbimpc_ros.ros.parameters.planner import PLANNER, PlannerSettings, planner
 from orbimpc_ros.ros.planner import core, outputs
 from orbimpc_ros.ros.planner.core import Core, planner_of
 from orbimpc_ros.ros.planner.outputs import doubts, summary
-from orbimpc_ros.ros.planner.wings import WINGS, Wing, types_of
+from orbimpc_ros.ros.planner.wings import QUIET, WINGS, Wing, types_of
 from orbimpc_ros.ros.process import LATCHED, LATEST, LIFE, Managed, NodeClock, full_name, qos, run
 from orbimpc_ros.ros.topics import NUMBERS, message_of
 from orbimpc_ros.ros.transforms import TF, TF_STATIC
@@ -55,27 +55,24 @@ class EndpointMonitor:
         mismatches: why ends are incompatible, by topic; empty where they match.
     """
 
-    def __init__(
-        self, node: Node, odometry: Iterable[Subscription], velocity: Publisher | None
-    ) -> None:
-        self._node, self._odometry, self._velocity = node, tuple(odometry), velocity
+    def __init__(self, node: Node, odometry: list[Subscription], velocity: list[Publisher]) -> None:
+        self._node, self._odometry, self._velocity = node, odometry, velocity
         self._rota: list[Any] = []
         self.mismatches: dict[str, str] = {}
         self.sources = self.rivals = ''
 
     def look(self) -> None:
         """Check publishers of odometry and commands, and the ends of one more topic."""
-        consequence = ', of which only one can be right'
-        sources = [self._several(each, consequence) for each in self._odometry]
-        self.sources = next(filter(None, sources), '')
+        self.sources = self._several(self._odometry, ', of which only one can be right')
         self.rivals = self._several(self._velocity, ': the vehicle hears them all')
         self._rota = self._rota or [*self._node.publishers, *self._node.subscriptions]
         end = self._rota.pop()
         self.mismatches[end.topic_name] = self._mismatch(end)
 
-    def _several(self, end: Publisher | Subscription | None, consequence: str) -> str:
-        count = 0 if end is None else self._node.count_publishers(end.topic_name)
-        return f'{count} publishers on {end.topic_name}{consequence}' if end and count > 1 else ''
+    def _several(self, ends: Iterable[Publisher | Subscription], consequence: str) -> str:
+        counts = {end.topic_name: self._node.count_publishers(end.topic_name) for end in ends}
+        several = [f'{count} publishers on {name}' for name, count in counts.items() if count > 1]
+        return f'{" and ".join(several)}{consequence}' if several else ''
 
     def _mismatch(self, end: Publisher | Subscription) -> str:
         """Return which other end is incompatible with ``end``, and why; empty if none is."""
@@ -113,7 +110,6 @@ HEALTH = 1.0  # [s] longest interval between messages on /diagnostics
 REFUSED = 1.0  # [s] duration of the warning on a refused message
 SILENCE = 1.5  # [s] without any /clock before a warning
 LULL = 10.0  # [s] the same after the first one: lock-step waits for slow planners
-QUIET = 10.0  # [s] for which the same line is not logged again
 NUMBER = re.compile(r'(?<![\w/])[-+]?\d+(\.\d+)?(e[-+]?\d+)?')
 
 
@@ -191,12 +187,13 @@ class PlannerNode(Managed):
             topic: self.create_publisher(kind, topic, profile, event_callbacks=UNSENT)
             for topic, (kind, profile) in kinds.items()
         }
+        self._shown = dict[str, bool]()  # events as last published
         self._begin_anew()
-        self._events, self._shown = Events(), dict[str, bool]()
-        self._publish_events()
         self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as last published
 
     def _begin_anew(self) -> None:
+        self._events = Events()
+        self._publish_events()
         self._sent_at = -math.inf  # time of the last command, on the steady clock [s]
         self._stamp = Stamp(0)  # of the answered odometry
         self._answered = -1  # stamp of the last answered odometry [ns]
@@ -228,8 +225,8 @@ class PlannerNode(Managed):
             for topic, profile in ((TF, qos(TRANSFORMS)), (TF_STATIC, lasting)):
                 self.create_subscription(kind, topic, self.guard(self._hear, topic), profile)
         self._obstacles = listening[core.OBSTACLES]
-        measured = (listening[topic] for topic in odometry)
-        self._monitor = EndpointMonitor(self, measured, self._publishers_of.get('cmd_vel'))
+        commands = [each for name, each in self._publishers_of.items() if name == 'cmd_vel']
+        self._monitor = EndpointMonitor(self, [listening[name] for name in odometry], commands)
         self.create_service(Trigger, '~/reset', self.guard(self._on_reset))
         self.create_service(SetBool, '~/enable', self.guard(self._on_enable))
 
@@ -255,9 +252,8 @@ class PlannerNode(Managed):
             if topic == 'odom':
                 self._repeat_answer(message)
             return
-        if topic == 'goal':
-            goal = inputs.latest['goal']
-            self._events.send(goal.value.position, streams=goal.streams)
+        if (aim := inputs.aim(topic)) is not None:
+            self._events.send(aim, streams=inputs.latest[topic].streams)
             self._publish_events()
         odometry = inputs.odometry
         measured = odometry is not before

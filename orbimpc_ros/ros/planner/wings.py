@@ -35,13 +35,12 @@ from orbimpc_ros.ros.parameters.planner import PlannerSettings
 from orbimpc_ros.ros.process import LATEST, Managed, qos
 
 FRESH = 0.4  # [s]: no setpoints are sent without a position for longer
-APART = 0.1  # [s] largest interval between an attitude and its position
 MODE_LOST = 2.5  # [s]: PX4 and MAVROS report the mode once or twice a second
 AIRSPEED_LOST, WIND_LOST = 1.0, 10.0  # [s]: then they are unknown; the latter is PX4's own limit
 ALIVE = 0.1  # [s] between messages that keep offboard mode
 OFFBOARD = 14  # VehicleStatus.NAVIGATION_STATE_OFFBOARD
 REFUSALS = 5.0  # [s] after which an unanswered command counts as lost
-QUIET = 10.0  # [s] between lines about problems
+QUIET = 10.0  # [s] for which the same line is not logged again
 GRAVITY = 9.80665  # [m/s^2]
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from or to ENU
 FRD = np.diag([1.0, -1.0, -1.0])  # from or to FLU
@@ -251,7 +250,7 @@ class Px4(Wing):
 
     def _on_position(self, message: Any) -> None:
         other, stamp = self._last('attitude', FRESH), message.timestamp_sample
-        if other is None or abs(other.timestamp_sample - stamp) > 1e6 * APART:
+        if other is None or 1000 * abs(other.timestamp_sample - stamp) > messages.APART:
             return
         if not (message.xy_valid and message.v_xy_valid):
             return
