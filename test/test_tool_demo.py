@@ -245,6 +245,7 @@ def test_the_clock_of_a_fleet_waits_for_every_command():
         recorder.latest |= {k: round(v * SECOND) for k, v in stamps.items() if v is not None}
         clock.look(NAMES)
     clock.look(NAMES[:1])  # the other vehicle has landed
+    assert demo._progress(72, {'max_ticks': 60}, {}) == 'tick 60 of at most 60'
     stamps = [bags.seconds(each) for each in sent]
     assert stamps == [10.0, 10.5, 11.0]
 

@@ -128,12 +128,12 @@ def test_a_simulator_may_have_values_of_its_own():
         settings.changed(values, ['sim.horizon=3'])
 
 
-def test_repeated_odometry_counts_once(tmp_path):
+def test_repeated_odometry_and_its_answer_count_once(tmp_path):
     raw = bags.raw(GOLDEN / 'retrieval')
-    again = [each for each in raw if each.topic == '/odom'][:3]
+    again = [each for each in raw if each.topic in ('/odom', '/tick')][:6]
     found = of_bag(write(tmp_path / 'bag', [*raw, *again, *again], {}))
     assert found.times.tolist() == of_bag(GOLDEN / 'retrieval').times.tolist()
-    assert found.positions.shape == found.ropes.shape == (26, 3)
+    assert found.positions.shape == found.ropes.shape == (len(found.ticks), 3) == (26, 3)
 
 
 def test_what_a_planner_would_refuse_is_no_history(tmp_path):

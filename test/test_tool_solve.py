@@ -170,10 +170,12 @@ def test_a_process_reads_standard_input_and_keeps_tracebacks_to_itself():
     assert bad.stderr == 'orbimpc: horizon is 0; allowed: an integer in [1, 500]\n'
 
 
-def test_a_process_without_output_still_works(tmp_path, monkeypatch):
+def test_a_process_without_output_or_input_still_works(tmp_path, monkeypatch):
     (tmp_path / 'problem').write_text(json.dumps(case(horizon=5)))
     monkeypatch.setattr(sys, 'stdout', None)  # as after >&-
     assert cli.main(['solve', str(tmp_path / 'problem')]) == 0
+    monkeypatch.setattr(sys, 'stdin', None)
+    assert cli.main(['solve', '-']) == cli.BAD_INPUT
 
 
 @pytest.mark.parametrize('command', cli.COMMANDS)

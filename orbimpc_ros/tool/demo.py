@@ -200,7 +200,8 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
 def _progress(ticks: int, values: Values, planners: Mapping[str, Child]) -> str:
     """Return the progress of a flight; before any answer, of the planners' compilation."""
     if ticks:
-        return f'tick {ticks} of at most {values["max_ticks"]}'
+        most = values['max_ticks']
+        return f'tick {min(ticks, most)} of at most {most}'  # the end and late ones are extra
     _, compiling, rest = '\n'.join(each.output for each in planners.values()).rpartition(COMPILING)
     return compiling + rest.partition('\n')[0] if compiling else 'starting nodes'
 

@@ -90,7 +90,8 @@ def read(source: str) -> Any:
         BadInput: the file is not readable, larger than 256 KiB, or malformed.
     """
     name = 'standard input' if source == '-' else source
-    file = nullcontext(sys.stdin.buffer) if source == '-' else opened(Path(source), LARGEST)
+    standard = source == '-' and sys.stdin  # None if it is closed
+    file = nullcontext(standard.buffer) if standard else opened(Path(source), LARGEST)
     with file as stream:
         raw = stream.read(LARGEST + 1)
     try:
@@ -142,7 +143,7 @@ def _require_plain(value: Any, path: str = '') -> None:
     elif isinstance(value, list):
         for inner in value:
             _require_plain(inner, path)
-    elif isinstance(value, (int, float)) and abs(value) > MAX_NUMBER:
+    elif isinstance(value, (int, float)) and not abs(value) <= MAX_NUMBER:
         raise BadInput(path, str(value), f'finite, of a magnitude of at most {MAX_NUMBER:g}')
     elif (value is not None and not isinstance(value, (str, int, float))) or '\0' in str(value):
         raise BadInput(path, str(value), 'numbers, words, lists and mappings')

@@ -183,8 +183,7 @@ def recording_of(
             no parameters, or no such tick.
     """
     if params is None and not changes and not bags.notes(path):
-        missing = 'no notes of its parameters'
-        raise BadInput.stating(str(path), missing, 'give --params FILE or --set')
+        raise BadInput.stating(str(path), 'no notes of its parameters', 'give --params FILE')
     values = settings.of_bag(path, namespace, params)
     values = settings.changed(values, changes, simulated=False)
     planner = planner_settings(values)
@@ -278,12 +277,13 @@ def _decision(planner: OfflinePlanner, recorded: RecordedTick, delay: float) -> 
 
 
 def recorded_command(settings: PlannerSettings, command: Command, answer: Answer) -> Command:
-    """Return a command with the speed or thrust and the body rate that an answer tells."""
+    """Return a command with the speed or thrust and the body rate of an answer, if possible."""
     problem = settings.problem
     name, weight = ('force', settings.mass) if problem.inertial else ('speed', 1.0)
     if name in answer:
-        command = replace(command, speed_fraction=answer[name] / (weight * problem.forward))
-    if 'body_rate' in answer:
+        share = answer[name] / (weight * problem.forward)
+        command = replace(command, speed_fraction=min(1.0, max(0.0, share)))  # 0 for NaN
+    if np.isfinite(answer.get('body_rate', math.nan)).all():
         turned = settings.frames.turned(answer['body_rate'])
         command = replace(command, body_rate=turned[-len(command.body_rate) :].copy())
     return command

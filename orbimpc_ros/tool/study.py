@@ -98,7 +98,7 @@ def run(
         'rules': draws.rules,
         'tuned': {n: baselines().tuned_of(draws.name).get(n, {}) for n in names if n != OURS},
     }
-    folder = _folder(out, draws.name)
+    folder = _folder(out, draws.name, resume)
     done = rows_of(folder / FLIGHTS, about, resumed=resume)
     jobs = [
         (draws.name, name, index, draws.of(seed, index))
@@ -116,9 +116,11 @@ def run(
     return 0
 
 
-def _folder(out: str | None, name: str) -> Path:
+def _folder(out: str | None, name: str, resumed: bool) -> Path:
     if out is None:
         return new_folder(OUT, name)
+    if resumed:
+        return Path(out)
     folder = folder_at(Path(out))
     if any(folder.iterdir()) and not (folder / FLIGHTS).exists():
         raise BadInput(str(folder), 'a folder with other files', 'a new or an empty folder')
@@ -177,15 +179,17 @@ def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Ro
     kept: dict[Key, Row] = {}
     if resumed:
         try:
-            text = file.read_text().rpartition('\n')[0]
-            head, *rows = map(json.loads, text.splitlines())
+            lines = file.read_bytes().rpartition(b'\n')[0]
+            head, *rows = map(json.loads, lines.splitlines())
             differ = [n for n in about if head.get(n) != json.loads(json.dumps(about[n]))]
             kept = {(row['controller'], row['index']): row for row in rows}
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
             raise BadInput(str(file), 'damaged', 'the results of a study') from None
         if differ:
             raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
-    file.write_text(''.join(json.dumps(each) + '\n' for each in (about, *kept.values())))
+        os.truncate(file, len(lines) + 1)
+    else:
+        file.write_text(json.dumps(about) + '\n')
     return kept
 
 
