@@ -64,13 +64,13 @@ def run(scenario: str, vehicles: int | None, out: str, changes: Sequence[str]) -
             if values['vehicle'] in ENGINES:
                 class_of(values['vehicle'])  # raises before any process is started
     folder = new_folder(out, scenario)
-    flown, bags = dict[str, History](), []
+    flown = dict[str, History]()
     for name, values in flights.items():
         (folder / name).mkdir(exist_ok=True)
         fly(values, folder / name, own)
-        bags.append(folder / name / 'bag')
-        flown |= {each or name: history.of_bag(bags[-1], each) for each in own or ('',)}
-    return report(folder, bags, flown)
+        bag = folder / name / 'bag'
+        flown |= {each or name: history.of_bag(bag, each) for each in own or ('',)}
+    return report(folder, flights, flown)
 
 
 def variants(scenario: str, changes: Sequence[str]) -> dict[str, Values]:
@@ -114,14 +114,14 @@ def fleet(
     return values, own
 
 
-def report(folder: Path, paths: Sequence[Path], flown: Mapping[str, History]) -> int:
+def report(folder: Path, names: Iterable[str], flown: Mapping[str, History]) -> int:
     """Summarise flights by name, or a fleet's by namespace; draw pictures; return the exit code."""
     from orbimpc_ros.tool import plot  # its import is slow and would delay the start of nodes
 
     print(history.text(flown))
     clear = not any(name.startswith('/') for name in flown) or clearance(flown)
-    for path in paths:
-        print(f'bag           {path}')
+    for name in names:
+        print(f'bag           {folder / name / "bag"}')
     with plot.look():
         pictures = plot.written(flown, folder)
     for name in pictures:
@@ -160,8 +160,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
         KeyboardInterrupt: a signal arrived; the bag is complete up to then.
     """
     parameters, namespaces = folder / 'parameters.yaml', tuple(own) or ('',)
-    simulated = values['clock'] != 'wall'
-    text = settings.text(values | OF_A_RUN | {'use_sim_time': simulated}, own)
+    text = settings.text(values | OF_A_RUN | {'use_sim_time': values['clock'] != 'wall'}, own)
     parameters.write_text(text)
     print(f'ROS_DOMAIN_ID={isolate(folder)}, results in {folder}')
     names, notes = {f'{each}/planner'.strip('/') for each in namespaces}, {'parameters': text}
@@ -198,10 +197,9 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
 
 
 def _progress(ticks: int, values: Values, planners: Mapping[str, Child]) -> str:
-    """Return the progress of a flight; before any answer, of the planners' compilation."""
+    """Return the progress of a flight, which may repeat late ticks; at first, of compilation."""
     if ticks:
-        most = values['max_ticks']
-        return f'tick {min(ticks, most)} of at most {most}'  # the end and late ones are extra
+        return f'tick {min(ticks, values["max_ticks"])} of at most {values["max_ticks"]}'
     _, compiling, rest = '\n'.join(each.output for each in planners.values()).rpartition(COMPILING)
     return compiling + rest.partition('\n')[0] if compiling else 'starting nodes'
 

@@ -149,9 +149,6 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Histor
     times, attitudes = measured['time'], measured['attitude']
     plans = [(seconds(m), [point(stamped.pose.position) for stamped in m.poses])
              for m in logged['plan'] if m.poses]  # fmt: skip
-    ticks = {  # of repeated answers the last one
-        seconds(m): fields(m) for m in logged['tick'] if m.status and seconds(m) <= times[-1]
-    }
     return History(
         times=times,
         positions=measured['position'],
@@ -160,7 +157,9 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Histor
         rates=measured['body_rate'],
         ropes=_seen(times, sighted, planner_settings(values).goal_timeout),
         plans=tuple((time, np.array(points)) for time, points in plans),
-        ticks=tuple(ticks.items()),
+        ticks=tuple(  # of repeated answers the last one
+            {seconds(m): fields(m) for m in logged['tick'] if seconds(m) <= times[-1]}.items()
+        ),
         captured=any(m.data for m in logged['captured']),
         values=values,
         truth=next((fields(m) for m in reversed(logged['truth']) if m.status), {}),

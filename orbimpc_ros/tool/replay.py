@@ -38,7 +38,6 @@ CLOCK = '/clock'
 INPUTS = tuple(topic.name for topic in topics.INPUTS)
 COMPARED = tuple(topic.name for topic in topics.OUTPUTS if not topic.name.startswith('plan'))
 NEEDED = ('odom',), ('goal', 'goal_path'), ('tick', 'cmd_vel')
-Messages = Mapping[str, Any]  # by topic
 Answer = dict[str, Any]  # values published on a tick; unknown ones are absent
 LINES = 20  # differences printed individually
 # Solver versions, with and without numba, agree on an optimum within these tolerances. The
@@ -110,7 +109,7 @@ def _show(tick: ReplayedTick, comparisons: Sequence[Comparison]) -> None:
 # --- what was recorded
 
 
-def published(messages: Messages) -> Answer:
+def published(messages: Mapping[str, Any]) -> Answer:
     """Return the values in messages by topic: the fields of ``tick`` by name, and the command.
 
     The latter has the ``speed`` [m/s], ``body_rate``, shape (3,) [rad/s], ``force`` [N] and

@@ -46,7 +46,7 @@ from orbimpc_ros import __version__
 from orbimpc_ros.mpc.arrays import Array, fields_of, whole
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.tool import files, settings
-from orbimpc_ros.tool.files import folder_at, new_folder
+from orbimpc_ros.tool.files import folder_at, new_folder, why
 from orbimpc_ros.tool.offline import OURS, Row, baselines, flown
 from orbimpc_ros.tool.plot import Panel, draw_panel, in_both_looks
 from orbimpc_ros.tool.processes import ProgressLine, interruptions
@@ -119,11 +119,10 @@ def run(
 def _folder(out: str | None, name: str, resumed: bool) -> Path:
     if out is None:
         return new_folder(OUT, name)
-    if resumed:
-        return Path(out)
-    folder = folder_at(Path(out))
-    if any(folder.iterdir()) and not (folder / FLIGHTS).exists():
-        raise BadInput(str(folder), 'a folder with other files', 'a new or an empty folder')
+    folder = Path(out) if resumed else folder_at(Path(out))
+    if not resumed and any(folder.iterdir()):
+        allowed = 'a new or an empty folder, or --resume of a study'
+        raise BadInput(str(folder), 'a folder with files', allowed)
     return folder
 
 
@@ -171,25 +170,23 @@ def rows_of(file: Path, about: dict[str, Any], *, resumed: bool) -> dict[Key, Ro
         resumed: whether the file is resumed.
 
     Raises:
-        BadInput: the file is of another study, is damaged, is missing, or exists already.
+        BadInput: the file is of another study, is damaged, or is missing.
     """
-    if file.exists() != resumed:
-        there = 'no study to continue' if resumed else 'a study already'
-        raise BadInput(str(file), there, 'another -o DIR' if resumed else '--resume')
-    kept: dict[Key, Row] = {}
-    if resumed:
-        try:
-            lines = file.read_bytes().rpartition(b'\n')[0]
-            head, *rows = map(json.loads, lines.splitlines())
-            differ = [n for n in about if head.get(n) != json.loads(json.dumps(about[n]))]
-            kept = {(row['controller'], row['index']): row for row in rows}
-        except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
-            raise BadInput(str(file), 'damaged', 'the results of a study') from None
-        if differ:
-            raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
-        os.truncate(file, len(lines) + 1)
-    else:
+    if not resumed:
         file.write_text(json.dumps(about) + '\n')
+        return {}
+    try:
+        lines = file.read_bytes().rpartition(b'\n')[0]
+        head, *rows = map(json.loads, lines.splitlines())
+        differ = [n for n in about if head.get(n) != json.loads(json.dumps(about[n]))]
+        kept = {(row['controller'], row['index']): row for row in rows}
+    except OSError as error:
+        raise BadInput.stating(str(file), why(error), 'a study to continue is needed') from None
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+        raise BadInput(str(file), 'damaged', 'the results of a study') from None
+    if differ:
+        raise BadInput(str(file), f'a study with other {", ".join(differ)}', 'the same')
+    os.truncate(file, len(lines) + 1)
     return kept
 
 
