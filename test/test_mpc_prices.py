@@ -99,6 +99,7 @@ WING = Problem(
 NORTH = Problem(
     horizon=4, step=0.6, weights=Weights(1.0, 0.5, 0.0, 3.0), approach=Approach(0.3, (0.0, 1.0))
 )
+ABOVE = replace(NORTH, floor=floor('circle', 0.4))
 TURNING, ASIDE = Problem(horizon=4, max_rate=0.4), (at(0.8), [0.5, 2.5], 1e-4)
 BESIDE = MovingObstacle.drifting(Ball([2.0, 0.3], 0.6), [-0.1, 0.0])
 SUMS = {
@@ -111,6 +112,8 @@ SUMS = {
     'tilt': ('tilt', *DESCENT, 1e-4),
     'slope': ('glide_slope', *DESCENT, 1e-4),
     'approach': ('approach', NORTH, at(0.9), [2.0, -0.3], 1e-3),
+    'slowest approach': ('approach', NORTH, at(0.9), [-1.0, -1.0], 1e-3),
+    'approach and floor': ('floor', ABOVE, at(0.9), [-1.0, -1.0], 1e-3),
     'hazard': ('hazard 0', Problem(horizon=4), at(0.5, hazards=(BESIDE,)), [5.0, 0.0], 5e-3),
 }
 
@@ -130,7 +133,7 @@ def test_prices_of_a_limit_add_up_to_what_easing_it_gains(kind):
     price = sum(each.price for each in told.binding if each.name == name)
     low = 0.0 if kind == 'constant speed' else -eps  # no floor is above 1
     saved = (best(low).objective - best(eps).objective) / (eps - low)
-    assert price > 0.05
+    assert price > 0.03
     assert price == pytest.approx(saved, rel=0.15 if name == 'hazard 0' else 1e-2)
 
 

@@ -47,9 +47,7 @@ def test_no_part_proves_more_than_a_flight_in_it_costs(seed):
 def test_a_cone_and_a_wide_sector_prove_no_more_than_a_flight_in_both_costs():
     """Beyond a polygonal floor, where every direction in the cone is uphill."""
     rng = np.random.default_rng([752128, 54104])
-    drawn = adversary.flight(rng)
-    assert drawn is not None
-    found = adversary.judged(drawn, rng)
+    found = adversary.judged(adversary.flight(rng), rng)
     assert found is not None
     assert not found.is_false
 

@@ -145,7 +145,7 @@ def step_margins(
     """Return the margins of single steps to all limits but hull and bodies, as :func:`margins`.
 
     Those of R_0 e1..R_N e1, shape (..., N + 1, n), and s_1..s_N, shape (..., N, n) [m], have shape
-    (..., N); (..., 1) for ``approach``, of the last step.
+    (..., N); those to ``approach`` are of the last step, see :func:`approach_margin`.
     """
     by_limit, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
@@ -157,7 +157,7 @@ def step_margins(
     if problem.max_acceleration:
         by_limit['max_acceleration'] = speed_margin(problem, state, headings)
     if problem.approach.exists:
-        by_limit['approach'] = approach_margin(problem, state, headings[..., -1:, :])
+        by_limit['approach'] = approach_margin(problem, state, headings[..., -1, :])
     if problem.tilt or problem.glide_slope:
         eased = relief(problem, state, goals)
         if problem.tilt:
@@ -168,10 +168,14 @@ def step_margins(
 
 
 def approach_margin(problem: Problem, state: State, heading: Array) -> Array:
-    """Return the margins of last headings R_N e1, shape (..., n), inside the cone of approach."""
-    approach, sizes = problem.approach, _sizes(heading)
-    demanded = math.cos(approach.cone) * np.maximum(sizes, problem.least_heading)
-    return np.asarray(heading @ approach.axis(state) - demanded)
+    """Return the margins of last headings R_N e1, shape (..., n), inside the cone of approach.
+
+    They are to its sides and to its flat end, which are smooth, shape (..., 2).
+    """
+    sizes = _sizes(heading)
+    lengths = np.stack([sizes, np.full_like(sizes, problem.least_heading)], axis=-1)
+    ahead = heading @ problem.approach.axis(state)
+    return np.asarray(ahead[..., None] - math.cos(problem.approach.cone) * lengths)
 
 
 def turn_margin(problem: Problem, state: State, headings: Array) -> Array:

@@ -29,6 +29,7 @@ from orbimpc_ros.mpc.model.dynamics import KINK, length_weights, on_axes
 from orbimpc_ros.mpc.model.dynamics import gradients as gradients_of_cost
 from orbimpc_ros.mpc.plan import Plan
 from orbimpc_ros.mpc.problem import Box, Problem, State
+from orbimpc_ros.mpc.problem.problem import SLOWEST
 from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.solve.regions import Regions
@@ -96,14 +97,17 @@ def _limits(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
             units = np.abs(each - _slacks(tight, state, goals, headings)[name]) / by
         for k in active.tolist():
             gradient = on_axes(slopes[:, k].reshape(steps, n))
-            yield Slack(name, steps - len(each) + k + 1, gradient, float(units[k]))
+            step = steps if name == 'approach' else k + 1
+            yield Slack(name, step, gradient, float(units[k]))
 
 
 def _slacks(problem: Problem, state: State, goals: Array, headings: Array) -> dict[str, Array]:
-    """Return the margins of each step, shape (..., N), for headings, shape (..., N + 1, n)."""
+    """Return the margins of :func:`step_margins` for headings, shape (..., N + 1, n)."""
     moved = problem.maps.reach[:, 1:] @ headings[..., 1:, :]
     places = decided(problem, state)[0][1:] + moved
     margins = step_margins(problem, state, goals, headings, places)
+    if problem.approach.exists and problem.least_speed >= SLOWEST:  # implies the flat end
+        margins['approach'] = margins['approach'][..., :1]
     if problem.dimension == 2:
         margins['hull'] = 1.0 - np.linalg.norm(headings[..., 1:, :], axis=-1)
     return margins
