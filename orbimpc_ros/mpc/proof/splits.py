@@ -155,17 +155,8 @@ def _is_split_right(stated, node, at, part, low, high):
         return arcs if unsplit else kind == CUT and within
     if not unsplit:
         return kind == QUARTERS and parts == 4
-    capped = body == -2 and parts == len(stated.patches) - ICOSAHEDRON and _is_capped(stated, c)
+    capped = body == -2 and stated.capped[c] and parts == len(stated.patches) - ICOSAHEDRON
     return kind == PATCHES and (parts == ICOSAHEDRON or capped)
-
-
-@generic
-def _is_capped(stated, k):
-    """Return whether the directions of a step are in the cap."""
-    capped = False
-    for q in range(len(stated.cone_step)):
-        capped = capped or (stated.cone_step[q] == k and stated.cones[q, -1] == 1)
-    return capped
 
 
 @generic

@@ -157,9 +157,10 @@ class Stated(NamedTuple):
         faces: normals of the faces of a polygon or solid, shape (F, n).
         patches: triangles that cover all directions in space, and then those that cover the cap of
             a cone about +z, shape (F, 3, 3).
+        capped: the headings 0..N-1 in that cone, shape (N,).
         cone_step: heading 0..N-1 of each cone, shape (Q,).
-        cones: their axes, unit vectors; cosine and sine of their angles, their least speeds, and 1
-            if the patches of the cap cover them, shape (Q, n + 4).
+        cones: their axes, unit vectors; cosine and sine of their angles, and their least speeds,
+            shape (Q, n + 3).
         arrives: number of vectors that vanish at the end: s_N - g_N, and p_N.
         chord: largest chord of R e1 in a step; negative without a limit.
         begun: first step, of 0..N-1, to which the chord applies.
@@ -189,6 +190,7 @@ class Stated(NamedTuple):
     share: Number
     faces: Rows
     patches: Rows
+    capped: np.ndarray
     cone_step: np.ndarray
     cones: Rows
     arrives: int
@@ -271,8 +273,9 @@ class Statement:
             share=share,
             faces=outward,
             patches=self._rows(icosahedron() if n == 3 else np.zeros((0, 3, 3))),
+            capped=np.zeros(count, bool),
             cone_step=np.zeros(0, np.int64),
-            cones=self._rows(np.zeros((0, n + 4))),
+            cones=self._rows(np.zeros((0, n + 3))),
             arrives=(1 + problem.inertial) * (problem.terminal == 'constraint'),
             chord=number(problem.chord) + number(ROUNDING) if problem.max_rate else number(-1),
             begun=int(problem.first_turn_is_decided),
@@ -329,10 +332,9 @@ class Statement:
             limits: in addition to the problem's own.
         """
         base, start, origin = self.base, self._begun(state), self._numbers(state.position)
-        cones = self._cones(state, limits)
         goals, spans = base.goals.copy(), base.spans.copy()
         turned = {**self._turned(state, spans), **self._paced(state, limits, spans)}
-        made = {'goals': goals, 'spans': spans, **turned, **self._coned(cones)}
+        made = {'goals': goals, 'spans': spans, **turned, **self._coned(state, limits)}
         goals[:, :-1] = self._numbers(aims) - origin
         if limits.glide_slope:
             goals[:, -1] = self._rows(limits.eased)
@@ -387,27 +389,26 @@ class Statement:
                 speeds[0, 0] = max(speeds[0, 0], self.base.least / along * number(INWARD))
         return {'change': change}
 
-    def _cones(self, state: State, limits: Limits) -> list[Cone]:
-        """Return cones, including those that headings can only leave by turns of several steps."""
-        cones = [each for each in limits.cones if each.steps]
-        if self.problem.dimension == 2:  # sectors are narrower
-            return cones
-        axis, turned = state.attitude[:, 0].tolist(), self.problem.turned_cones.items()
-        return cones + [Cone(axis, angle + WIDER, 0.0, [k]) for k, angle in turned]
+    def _coned(self, state: State, limits: Limits) -> dict[str, Any]:
+        """Return the cones of each step, and the last one in the plane, which a sector meets.
 
-    def _coned(self, cones: Sequence[Cone]) -> dict[str, Any]:
-        """Return the cones of each step, and the last one in the plane, which a sector meets."""
+        In space there are those that headings can only leave by turns of several steps, too.
+        """
+        cones = [each for each in limits.cones if each.steps]
+        if self.problem.dimension == 3:
+            axis, turned = state.attitude[:, 0].tolist(), self.problem.turned_cones.items()
+            cones += [Cone(axis, angle + WIDER, 0.0, [k]) for k, angle in turned]
         if not cones:
             return {}
         number, made = self._number, dict[str, Any]()
         axes = self._rows([each.axis for each in cones])
         units = axes / roots((axes * axes).sum(axis=1))[:, None]
         angles = np.array([direction(number(each.angle)) for each in cones])
-        caps = [each.angle for each in cones if each.axis == UP and each.angle <= STEEPEST_CAP]
-        if caps:
-            made['patches'] = np.concatenate([self.base.patches, self._rows(cap(caps[0]))])
-        least = [(each.least, each.axis == UP and each.angle in caps[:1]) for each in cones]
-        rows = np.concatenate([units, angles, self._rows(least)], axis=1)
+        for each in cones:
+            if not made and each.axis == UP and each.angle <= STEEPEST_CAP:
+                made['patches'] = np.concatenate([self.base.patches, self._rows(cap(each.angle))])
+                made['capped'] = np.isin(np.arange(1, self.problem.horizon + 1), each.steps)
+        rows = np.concatenate([units, angles, self._rows([[each.least] for each in cones])], axis=1)
         made['cones'] = np.repeat(rows, [len(each.steps) for each in cones], axis=0)
         made['cone_step'] = np.array([k - 1 for each in cones for k in each.steps], np.int64)
         for each in cones:  # of several in a file the last one counts

@@ -382,7 +382,7 @@ class Regions:
         if n == 2:
             faces = self._faces if heading else 0
             return Cut(ARCS, choice, faces or AROUND, self._first_arc if faces else 0.0)
-        upright = heading and (stated.cones[stated.cone_step == choice, -1] == 1.0).any()
+        upright = heading and stated.capped[choice]
         parts = len(stated.patches) - ICOSAHEDRON if upright else ICOSAHEDRON
         return Cut(PATCHES, choice, parts)
 
