@@ -21,6 +21,7 @@ from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.problem import LEEWAY
 from orbimpc_ros.mpc.problem.reach import entry_speed
 from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ROW, ProofTree
+from orbimpc_ros.mpc.proof.verify import SLICE as VERIFIED
 from orbimpc_ros.mpc.search.best_first import EMPTY, LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.search.relax import StageProblem, room_for
 from orbimpc_ros.mpc.search.ring import Ring
@@ -79,6 +80,8 @@ class TreeSearch:
     def _run(self, request: Request, posed: StageProblem, tree: Tree, *inputs: object) -> Found:
         """Search until it ends or the time is up; return the result with its proof.
 
+        There is no proof if the time is up, and too short to verify it.
+
         Raises:
             Infeasible: the root is empty.
         """
@@ -88,7 +91,8 @@ class TreeSearch:
                 break
         if status == EMPTY:
             raise Infeasible('no turn meets the cone of approach')
-        return self._result(tree, posed, self._proof(tree))
+        lost = status == PAUSED and tree.counts[MADE] > VERIFIED // len(posed.q) and request.late
+        return self._result(tree, posed, None if lost else self._proof(tree))
 
     def _result(self, tree: Tree, posed: StageProblem, proof: ProofTree | None = None) -> Found:
         """Return the incumbent, with the bound proved so far."""

@@ -41,6 +41,7 @@ NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by l
 NOTHING = 'no trajectory satisfies the constraints'
 ALONE = 'only paths in the plane of heading and goal were searched'
 FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
+PLANAR = 10  # polls of the deadline by the planar search, if bodies are yet to be passed
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 HALFWAY = 50.0  # factor on the tolerance where nodes cost alike: half of a plan's gap tolerance
@@ -85,7 +86,8 @@ class BranchAndBound:
         Raises:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
-        planar = [] if self._plane is None else self._plane.paths(request)
+        in_time = request if self._in_plane else request.limited(PLANAR)
+        planar = [] if self._plane is None else self._plane.paths(in_time)
         if planar and request.hurried and self._in_plane:
             return self._better(request, planar[0])
         self._latest = self.begun(request)  # until the next: to free a large tree takes long

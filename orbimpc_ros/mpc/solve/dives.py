@@ -106,7 +106,7 @@ class Dives:
 
     def dive(self, headings: Array, rows: Rows) -> None:
         """Follow the solution of a node, as far as turns allow; see :meth:`follow`."""
-        if self._turns is not None:
+        if self._turns is not None and not self._request.late:
             self.follow(self._turns.followed(self._request.state, headings), rows, 0.0)
         self.follow(headings, rows)
 
@@ -125,6 +125,8 @@ class Dives:
         regions, held, cost = self._regions, rows, np.inf
         slow = coned = False
         for _ in range(FOLLOWED):
+            if self._request.late:
+                return
             missed = regions.missed(headings)
             if missed:
                 held = held | regions.tangents(headings[1:], missed, rows)
@@ -136,7 +138,7 @@ class Dives:
                     coned = True
                 near = regions.beside(headings[1:], BESIDE * self._problem.maps.unit)
                 held = rows | regions.tangents(headings[1:], [*regions.floors, *near], rows)
-            x = None if self._request.late else self._solved(held, headings, share, coned)
+            x = self._solved(held, headings, share, coned)
             if x is None:
                 return
             trajectory = self.offer(x)

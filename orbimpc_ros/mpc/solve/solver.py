@@ -198,8 +198,9 @@ class Solver:
             result = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
             return self._instead(request, result, SolverFailure(result.reason))
         closed = plan.objective - plan.lower_bound <= self._tolerance * plan.objective
-        if closed or self._enough.met(result):
-            return plan  # proved optimal relative to its own cost, however small, or enough
+        # Proved optimal relative to its own cost, however small, or good enough, or time is up.
+        if closed or self._enough.met(result) or request.late:
+            return plan
         instead = replace(plan.proof, reason=joined(plan.proof.reason, STANDS_IN))
         return self._cheapest(request, self._unsought(request), instead, plan.objective) or plan
 
@@ -324,10 +325,11 @@ class Solver:
     def _instead(self, request: Request, result: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest fallback plan that passes the check, or raise ``failure``."""
         proof = self._proof(request, replace(result, reason=joined(result.reason, STANDS_IN)))
-        plan = self._cheapest(request, self._unsought(request), proof)
+        late = request.out_of_time
+        plan = self._cheapest(request, in_time(self._unsought(request), late), proof)
         if plan is None and isinstance(failure, SolverFailure):
             every = turning(self.problem, request.state, request.goals)
-            plan = self._cheapest(request, in_time(every, request.out_of_time), proof)
+            plan = self._cheapest(request, in_time(every, late), proof)
         if plan is None:
             raise failure
         return plan
