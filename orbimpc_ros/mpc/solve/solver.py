@@ -325,11 +325,10 @@ class Solver:
     def _instead(self, request: Request, result: Found, failure: OrbimpcError) -> Plan:
         """Return the cheapest fallback plan that passes the check, or raise ``failure``."""
         proof = self._proof(request, replace(result, reason=joined(result.reason, STANDS_IN)))
-        late = request.out_of_time
-        plan = self._cheapest(request, in_time(self._unsought(request), late), proof)
+        plan = self._cheapest(request, self._unsought(request), proof)
         if plan is None and isinstance(failure, SolverFailure):
             every = turning(self.problem, request.state, request.goals)
-            plan = self._cheapest(request, in_time(every, late), proof)
+            plan = self._cheapest(request, in_time(every, request.out_of_time), proof)
         if plan is None:
             raise failure
         return plan

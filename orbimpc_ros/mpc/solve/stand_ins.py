@@ -24,7 +24,7 @@ from orbimpc_ros.mpc.solve.request import Request
 
 # [rad] turned over the horizon, positive towards the goal; clipped to the widest turns.
 TURNS = (0.0, 3.0, -1.5, 1.5, 0.5, -4.0, 5.0, -6.3, 6.3)
-LATE, EACH = 6, 3  # corrections of an arc after the deadline; a trajectory takes as long as EACH
+LATE, EACH = 8, 4  # corrections of an arc after the deadline; a trajectory takes as long as EACH
 
 
 def straight(problem: Problem, state: State, goals: Array) -> Iterator[Array]:
