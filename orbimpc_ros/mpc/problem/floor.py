@@ -89,15 +89,16 @@ class Floor:
         made = SHAPES[self.shape]
         return made(dimension, self.faces) if made else None
 
-    def tangent(self, heading: Array) -> Array:
-        """Return the unit normal, shape (n,), of the half-space that a heading violates least.
+    def tangent(self, headings: Array) -> Array:
+        """Return the unit normals of the half-spaces that headings, shape (..., n), violate least.
 
-        It is bounded by one of the faces, or touches a round floor.
+        They are bounded by one of the faces, or touch a round floor.
         """
-        outward = self.normals(len(heading))
+        outward = self.normals(headings.shape[-1])
         if outward is None:
-            return np.asarray(heading / max(float(np.linalg.norm(heading)), HEADING_UNDEFINED))
-        return np.asarray(outward[np.argmax(outward @ heading)])
+            sizes = np.linalg.norm(headings, axis=-1, keepdims=True)
+            return np.asarray(headings / np.maximum(sizes, HEADING_UNDEFINED))
+        return np.asarray(outward[(headings @ outward.T).argmax(axis=-1)])
 
     def margin(self, axes: Array) -> Array:
         """Return the margins of axes, shape (..., n), above the floor, shape (...,); < 0 below."""

@@ -18,7 +18,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.check import terminal_violations
 from orbimpc_ros.mpc.geometry.rotations import margin
-from orbimpc_ros.mpc.model.dynamics import Trajectory, trajectory_of
+from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.solve.regions import ALWAYS, Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.stand_ins import in_time, sound, turning
@@ -78,25 +78,26 @@ class Dives:
         held = [row for each in rows.values() for row in each]
         return self._program.relax(self._request, held, chords)
 
-    def offer(self, x: Array) -> Trajectory:
+    def offer(self, x: Array) -> tuple[Array, float]:
         """Accept rotation coordinates, shape (N, d), if they are cheaper and feasible.
 
         After an interrupted or inaccurate solve they may be outside of their orbitopes.
 
         Returns:
-            Their rollout.
+            Their headings R_0 e1..R_N e1, shape (N + 1, n), and their cost.
         """
         regions, goals = self._regions, self._request.goals
         trajectory = trajectory_of(self._problem, self._request.state, goals, x)
+        headings = trajectory.rotations[:, :, 0]
         if (
             trajectory.objective < self.cost
-            and not regions.missed(trajectory.rotations[:, :, 0])
-            and regions.turns_in_time(trajectory.rotations[:, :, 0])
+            and not regions.missed(headings)
+            and regions.turns_in_time(headings)
             and margin(trajectory.rotations[1:]).min() >= -ACCURATE
             and not terminal_violations(self._problem, goals, trajectory)
         ):
             self.x, self.cost = x, trajectory.objective
-        return trajectory
+        return headings, trajectory.objective
 
     def stand_in(self) -> None:
         """Accept the first trajectory found without a search that passes the check of plans."""
@@ -129,21 +130,21 @@ class Dives:
                 return
             missed = regions.missed(headings)
             if missed:
-                held = held | regions.tangents(headings[1:], missed, rows)
+                held = held | regions.tangents(headings, missed, rows)
             else:
                 flat = held is not rows and not any(map(regions.is_round, held))
                 if flat or slow:  # flat sides stay where they are: there is little to gain
                     if coned or self._turns is None or self.cost < (1.0 - WORTH) * cost:
                         return
                     coned = True
-                near = regions.beside(headings[1:], BESIDE * self._problem.maps.unit)
-                held = rows | regions.tangents(headings[1:], [*regions.floors, *near], rows)
+                near = regions.beside(headings, BESIDE * self._problem.maps.unit)
+                held = rows | regions.tangents(headings, [*regions.floors, *near], rows)
             x = self._solved(held, headings, share, coned)
             if x is None:
                 return
-            trajectory = self.offer(x)
-            slow = not missed and trajectory.objective > (1.0 - WORTH) * cost
-            headings, cost, share = trajectory.rotations[:, :, 0], trajectory.objective, KEPT
+            before, share = cost, KEPT
+            headings, cost = self.offer(x)
+            slow = not missed and cost > (1.0 - WORTH) * before
 
     def _solved(self, rows: Rows, headings: Array, share: float, coned: bool) -> Array | None:
         """Return the solution within half-spaces, shape (N, d); None if there is none.

@@ -76,7 +76,7 @@ class PacedSpeeds:
         else:
             self._regions.bind(request)
             for x in self._starts(request, result):
-                path = self._flown(request, x).rotations[1:]
+                path = self._flown(request, x).rotations
                 near = self._followed(request, path, waits=not solutions)
                 solutions += near
                 if near or request.late:
@@ -119,26 +119,26 @@ class PacedSpeeds:
             trajectory = self._flown(request, x)
             if trajectory.objective > (1.0 - WORTH) * cost:
                 break
-            cost, path = trajectory.objective, trajectory.rotations[1:]
+            cost, path = trajectory.objective, trajectory.rotations
         return solutions
 
     def _beside(self, request: Request, path: Array) -> Array | None:
-        """Return the best coordinates, shape (N, d), near a path, shape (N, n, n), or None.
+        """Return the best coordinates, shape (N, d), near a path, shape (N + 1, n, n), or None.
 
         Bodies are passed on the path's sides, and floors satisfied beyond its tangents or faces.
         """
         state, headings, program = request.state, path[:, :, 0], self._program
         regions = self._regions
         before = state.attitude if state.coasted is None else state.coasted
-        units = project_all(path, before, 'thrust_aligned')[:, :, 0]
+        units = project_all(path[1:], before, 'thrust_aligned')[:, :, 0]
         spare: Array = np.zeros(0)
         first = self._problem.rotation_order - 1
         if self._problem.turns_are_angles:
-            spare = spared(self._problem, state, np.vstack([state.rotation[:, 0], units]), LEEWAY)
+            spare = spared(self._problem, state, np.vstack([headings[:1], units]), LEEWAY)
         if (spare < 0.0).any():
             return None
         decided = int(first_change_is_decided(self._problem, state))
-        floors = range(decided, len(path)) if self._problem.floor.exists else range(0)
+        floors = range(decided, len(units)) if self._problem.floor.exists else range(0)
         choices = [*floors, *regions.beside(headings, math.inf)]
         held = [row for each in regions.tangents(headings, choices, {}).values() for row in each]
         rays = list[Row]()

@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -125,6 +126,7 @@ class Regions:
         self.floors = list(range(self.first, count)) if problem.floor.exists else []
         driving = np.array([state.rotation[:, 0], state.velocity, state.disturbance])
         self._free = self._started @ driving
+        self._seen: tuple[Any, Any] = None, None
         if self.bodies:
             self._place(stated.bodies)
 
@@ -284,28 +286,34 @@ class Regions:
             short[: self.first] = -np.inf
             violations = {k: float(short[k]) for k in np.flatnonzero(short > SATISFIED).tolist()}
         if self.bodies:
-            into, _ = self._entered(headings[1:])
+            into, _, _ = self._entered(headings)
             for j, k in zip(*(each.tolist() for each in np.nonzero(into > SATISFIED)), strict=True):
                 violations[(2 + j) * self.problem.horizon + k] = float(into[j, k])
         return violations
 
-    def _entered(self, headings: Array) -> tuple[Array, Array]:
-        """Return the depths by which headings enter each body, and the directions out of it.
+    def _entered(self, headings: Array) -> tuple[Array, Array, Array]:
+        """Return the depths by which headings enter each body, and the way out of it.
 
         Args:
-            headings: R_1 e1..R_N e1, shape (N, n).
+            headings: R_0 e1..R_N e1, shape (N + 1, n); the last ones are remembered.
 
         Returns:
-            Lengths, shape (J, N) [m], and unit vectors, shape (J, N, n).
+            Lengths, shape (J, N) [m]; unit vectors, shape (J, N, n); and the extents of the bodies
+            along these, shape (J, N) [m].
         """
-        places = (self._reach @ headings)[self._points] + self._apart
-        far = np.concatenate([places.max(axis=2), -places.min(axis=2)], axis=-1)
-        short = far + self._stated.bodies.extents[:, None, :-1]
-        into, normals = short.min(axis=-1), self._outward[short.argmin(axis=-1)]
-        if len(self._balls):
-            normals[self._balls], away = separation(places[self._balls])
-            into[self._balls] = self._radii - away
-        return into + self._margins, normals
+        if headings is not self._seen[0]:
+            places = (self._reach @ headings[1:])[self._points] + self._apart
+            far = np.concatenate([places.max(axis=2), -places.min(axis=2)], axis=-1)
+            extents = self._stated.bodies.extents[:, None, :-1]
+            sides = (far + extents).argmin(axis=-1)[..., None]
+            into = np.take_along_axis(far + extents, sides, axis=-1)[..., 0]
+            normals = self._outward[sides[..., 0]]
+            out = np.take_along_axis(np.broadcast_to(extents, far.shape), sides, axis=-1)[..., 0]
+            if len(self._balls):
+                normals[self._balls], away = separation(places[self._balls])
+                into[self._balls], out[self._balls] = self._radii - away, self._radii
+            self._seen = headings, (into + self._margins, normals, out)
+        return self._seen[1]
 
     def is_round(self, choice: int) -> bool:
         """Return True if a choice is one of a round floor or a ball, not of flat sides."""
@@ -321,33 +329,28 @@ class Regions:
     def tangents(self, headings: Array, choices: Iterable[int], kept: Rows) -> Rows:
         """Return for each choice the half-space that headings satisfy, or violate the least.
 
+        A floor's is beyond its tangent, or the face violated least; a body's on the way out of it.
+
         Args:
-            headings: R_1 e1..R_N e1, shape (N, n).
+            headings: R_0 e1..R_N e1, shape (N + 1, n).
             choices: of floors and bodies.
             kept: half-spaces by choice; flat choices among these are skipped.
         """
-        rows, normals = Rows(), self._entered(headings)[1] if self.bodies else headings[None]
+        rows, count, floor = Rows(), self.problem.horizon, self.problem.floor
+        beyond = floor.tangent(headings[1:]) if floor.exists else headings
+        clear = ~(np.linalg.norm(headings[1:], axis=1) <= HEADING_UNDEFINED * (floor.radius > 0.0))
+        if self.bodies:
+            _, normals, out = self._entered(headings)
+            least = out + self._stated.bodies.margins[0]
         for choice in choices:
+            j, k = choice // count - 2, choice % count
             if choice in kept and not self.is_round(choice):
                 continue
-            side = self._touched(choice, headings, normals)
-            if side is not None:
-                rows[choice] = self.held(choice, side)
+            if j >= 0:
+                rows[choice] = self.held(choice, (normals[j, k], float(least[j, k])))
+            elif clear[k]:
+                rows[choice] = self.held(choice, (beyond[k], floor.fraction))
         return rows
-
-    def _touched(self, choice: int, headings: Array, normals: Array) -> Side | None:
-        """Return a floor's tangent, or its face violated least; a body's side with its normal."""
-        floor, count, bodies = self.problem.floor, self.problem.horizon, self._stated.bodies
-        if choice < count:
-            heading = headings[choice]
-            if floor.radius and np.linalg.norm(heading) <= HEADING_UNDEFINED:
-                return None
-            return floor.tangent(heading), floor.fraction
-        j, k = choice // count - 2, choice % count
-        normal, out = normals[j, k], bodies.extents[j, -1]
-        if not out > 0.0:
-            out = bodies.extents[j, int(np.argmax(np.concatenate([-normal, normal])))]
-        return normal, float(out + bodies.margins[0, j, k])
 
     def beside(self, headings: Array, within: float) -> list[int]:
         """Return the choices of balls within a distance of a path, and of all boxes.
@@ -356,7 +359,7 @@ class Regions:
         """
         if not self.bodies:
             return []
-        count, (into, _) = self.problem.horizon, self._entered(headings)
+        count, (into, _, _) = self.problem.horizon, self._entered(headings)
         boxes = len(self.problem.boxes)
         near = np.argwhere((into > -within) | (self._stated.bodies.extents[:, -1:] == 0.0))
         pairs = ((j, k) for j, k in near.tolist() if j < boxes or (j - boxes) % 2)

@@ -84,12 +84,10 @@ class Turns:
             headings: R_0 e1..R_N e1, shape (N + 1, n).
             share: the share; 0 for the least speeds.
         """
-        cells = []
-        for k, heading in enumerate(headings[1:]):
-            normal = self._problem.floor.tangent(heading)  # of a round floor, or the nearest face
-            fast = max(self._least, share * float(normal @ heading))
-            cells.append(Row(k, self._shares[k], normal, fast))
-        return tuple(cells)
+        normals = self._problem.floor.tangent(headings[1:])  # of a round floor, or nearest faces
+        fast = np.maximum(self._least, share * (normals * headings[1:]).sum(axis=1)).tolist()
+        rows = zip(self._shares, normals, fast, strict=True)
+        return tuple(Row(k, *row) for k, row in enumerate(rows))
 
     def cones(self, state: State, headings: Array) -> tuple[Row, ...]:
         """Return half-spaces about headings R_0 e1..R_N e1 in which any speeds turn in time."""
