@@ -304,11 +304,10 @@ class Regions:
         if headings is not self._seen[0]:
             places = (self._reach @ headings[1:])[self._points] + self._apart
             far = np.concatenate([places.max(axis=2), -places.min(axis=2)], axis=-1)
-            extents = self._stated.bodies.extents[:, None, :-1]
-            sides = (far + extents).argmin(axis=-1)[..., None]
-            into = np.take_along_axis(far + extents, sides, axis=-1)[..., 0]
-            normals = self._outward[sides[..., 0]]
-            out = np.take_along_axis(np.broadcast_to(extents, far.shape), sides, axis=-1)[..., 0]
+            extents = self._stated.bodies.extents[:, :-1]
+            short = far + extents[:, None]
+            into, sides = short.min(axis=-1), short.argmin(axis=-1)
+            normals, out = self._outward[sides], extents[np.arange(len(extents))[:, None], sides]
             if len(self._balls):
                 normals[self._balls], away = separation(places[self._balls])
                 into[self._balls], out[self._balls] = self._radii - away, self._radii
