@@ -16,7 +16,6 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from functools import cached_property
-from operator import itemgetter
 
 import numpy as np
 
@@ -35,7 +34,6 @@ from orbimpc_ros.mpc.solve.regions import Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
-from orbimpc_ros.mpc.solve.stand_ins import sound
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
@@ -89,7 +87,8 @@ class BranchAndBound:
         in_time = request if self._in_plane else request.limited(PLANAR)
         planar = [] if self._plane is None else self._plane.paths(in_time)
         if planar and request.hurried and self._in_plane:
-            return self._better(request, planar[0])
+            cost = trajectory_of(self.problem, request.state, request.goals, planar[0]).objective
+            return Found(planar[0], cost, -np.inf, 1, ALONE)
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
         return self._latest.run(planar, among=traffic_of(self.problem, request.state) is not None)
 
@@ -104,13 +103,6 @@ class BranchAndBound:
         from orbimpc_ros.mpc.solve.program import Program  # imports Clarabel, which is slow
 
         return Program(problem, coasting=coasting)
-
-    def _better(self, request: Request, x: Array) -> Found:
-        """Return a path in a plane or the guess: without a search in space, neither has a bound."""
-        cost = trajectory_of(self.problem, request.state, request.goals, x).objective
-        candidates = *sound(self.problem, request, [request.guess]), (cost, x)
-        cost, x = min(candidates, key=itemgetter(0))
-        return Found(x, cost, -np.inf, 1, ALONE)
 
     def begun(self, request: Request) -> Search:
         """Return the search for a request."""

@@ -111,17 +111,10 @@ class ActiveSet(NamedTuple):
 
 def active_set(steps: int, places: int, dimension: int) -> ActiveSet:
     """Return an empty active set with capacity for all independent rows and two more."""
-    size = steps * dimension + 2
-    return ActiveSet(
-        np.zeros(size, np.int64),
-        np.zeros(size, np.int64),
-        np.zeros((size, dimension)),
-        np.zeros(size),
-        np.zeros(size),
-        np.zeros((size, size)),
-        np.zeros((size, size)),
-        np.zeros((places, dimension)),
-    )
+    n, size = dimension, steps * dimension + 2
+    shapes = size, size, (size, n), size, size, (size, size), (size, size), (places, n)
+    made, indices = ActiveSet._make(map(np.zeros, shapes)), np.zeros((2, size), np.int64)
+    return made._replace(at=indices[0], rows=indices[1])
 
 
 @compiled
