@@ -161,12 +161,10 @@ def test_no_flight_costs_less_than_the_bound_of_a_search(seed):
 @pytest.mark.parametrize('index', [10637, 27479, 36727])
 def test_bounds_leave_what_rounding_takes(index):
     """An arrival exact up to rounding, a plan at its goal, and a cost far below its unit."""
-    drawn = adversary.flight(np.random.default_rng([817735, index]))
-    assert drawn is not None
-    (problem, state, goals), coasting = drawn.case.parts, drawn.case.state.coasted is not None
-    plan = Solver(problem, coasting=coasting).solve(state, goals)
+    posed = adversary.flight(np.random.default_rng([817735, index])).case.parts
+    plan = Solver(posed[0], coasting=posed[1].coasted is not None).solve(*posed[1:])
     assert plan.lower_bound <= plan.objective
-    assert verified(parsed(text_of(certificate_of(*drawn.case.parts, plan.proof)).encode())).holds
+    assert verified(parsed(text_of(certificate_of(*posed, plan.proof)).encode())).holds
 
 
 @pytest.mark.parametrize(
@@ -182,22 +180,24 @@ def test_a_plan_that_arrives_or_evades_needs_no_search(family, seed):
 @pytest.mark.parametrize('index', [615, 5965, 21072, 41971])
 def test_a_search_that_finds_nothing_leaves_a_plan_all_the_same(index):
     """Arrivals in a cone of approach, and among bodies, from a search that is stopped early."""
-    drawn = adversary.flight(np.random.default_rng([411128, index]))
-    assert drawn is not None
-    problem, *known = drawn.case.parts
-    found = Solver(problem).solve(*known, out_of_time=polled(400))
-    assert violations(*drawn.case.parts, found) == []
+    posed = adversary.flight(np.random.default_rng([411128, index])).case.parts
+    found = Solver(posed[0]).solve(*posed[1:], out_of_time=polled(400))
+    assert violations(*posed, found) == []
+
+
+SHELL = {'dimension': 3, 'horizon': 4, 'weights': Weights(0.0, 0.0, 1.0, 1.0)}
+BESIDE = {'horizon': 20, 'max_rate': 0.5, 'obstacles': (Ball([-4.0, 2.0], 1.0),)}
 
 
 @needs_machine_code
-def test_the_general_search_of_a_round_floor_in_space_keeps_the_deadline():
-    weights = Weights(position=0.0, input=0.0, length=1.0, terminal=1.0)
-    problem = Problem(dimension=3, horizon=4, weights=weights, floor=Floor('circle'))
-    state, goals, nodes = State.at(np.zeros(3), np.eye(3)), np.zeros((4, 3)), []
-    for limit in (20, 2000):
-        plan = Solver(problem, patient=True).solve(state, goals, None, polled(limit))
-        nodes.append(plan.proof.nodes)
-    assert nodes[0] < 10 < nodes[1]
+@pytest.mark.parametrize(
+    ('given', 'goal', 'polls'), [(SHELL, 3 * [0.0], (20, 2000)), (BESIDE, [-6.0, 2.0], (15, 100))]
+)
+def test_the_first_of_two_searches_leaves_time_to_the_general_one(given, goal, polls):
+    problem, n = Problem(**given, floor=Floor('circle')), len(goal)
+    posed = State.at(np.zeros(n), np.eye(n)), np.tile(goal, (problem.horizon, 1)), None
+    solved = [Solver(problem, patient=True).solve(*posed, polled(most)).proof for most in polls]
+    assert solved[0].nodes < 10 < solved[1].nodes
 
 
 def test_a_tree_is_freed_in_the_time_of_the_next_search(monkeypatch):
