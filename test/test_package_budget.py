@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_254,
-    'orbimpc_ros/mpc': 14_680,
+    'orbimpc_ros': 28_250,
+    'orbimpc_ros/mpc': 14_676,
     'orbimpc_ros/loop': 3_144,
     'orbimpc_ros/ros': 4_044,
     'orbimpc_ros/sim': 2_200,
