@@ -151,7 +151,7 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
     traffic, nothing = traffic_of(problem, state), ACTIVE * problem.maps.unit
     names = [f'obstacle {i}' for i, b in enumerate(problem.obstacles) if isinstance(b, Box)]
     names += [name for name in (traffic.names if traffic else ()) for _ in range(2)]
-    headings, regions = plan.rotations[1:, :, 0], Regions(problem)
+    headings, regions = plan.rotations[:, :, 0], Regions(problem)
     regions.bind(Request(state, goals))
     near = regions.beside(headings, nothing)
     controls, count = problem.translation.degree + 1, problem.horizon
@@ -161,7 +161,7 @@ def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterato
         if still and problem.no_corner_cutting and step == 0 < count - 1:
             continue  # its end is the beginning of the next step
         for row in held:
-            if row.normal @ (row.shares @ headings) - row.offset < nothing:
+            if row.normal @ (row.shares @ headings[1:]) - row.offset < nothing:
                 gradient = on_axes(np.outer(row.shares, row.normal))
                 begins = still and (row.place - count) % controls == 0
                 yield Slack(names[body - 2], step + (not begins), gradient)
