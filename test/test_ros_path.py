@@ -21,7 +21,6 @@ from visualization_msgs.msg import MarkerArray
 
 from orbimpc_ros.loop.planner import Planner
 from orbimpc_ros.ros import messages
-from orbimpc_ros.ros.messages import POSE_TWIST
 from orbimpc_ros.ros.planner import node as planner_node
 from orbimpc_ros.ros.planner.core import planner_of
 from orbimpc_ros.ros.planner.node import EndpointMonitor, PlannerNode
@@ -213,8 +212,8 @@ def test_a_path_is_reached_at_its_end_and_another_path_or_activation_begins_anew
 
 
 def test_either_half_of_odometry_has_one_source():
-    ends = [SimpleNamespace(topic_name=name) for name in POSE_TWIST]
-    counts = dict(zip(POSE_TWIST, (1, 2), strict=True))
+    counts = {'pose': 1, 'twist': 2}
+    ends = [SimpleNamespace(topic_name=name) for name in counts]
     graph = SimpleNamespace(count_publishers=counts.get, publishers=[], subscriptions=ends)
     graph.get_publishers_info_by_topic = graph.get_subscriptions_info_by_topic = lambda _: []
     monitor = EndpointMonitor(graph, ends, [])

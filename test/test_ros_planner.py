@@ -69,7 +69,7 @@ def bench(shared):
 def test_after_a_reset_it_flies_to_the_same_goal_and_disabled_it_is_safe(bench):
     assert moving(bench.fly(100.0))
     flown = len(bench.commands)
-    kept = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
+    kept = 'plan, estimates and inputs forgotten, but for goals by hand and bodies that last'
     assert bench.reset().message == kept
     bench.until(lambda: len(bench.commands) >= flown + 3, 'safe commands')
     assert not any(moving(command) for command in bench.commands[flown:])
@@ -239,7 +239,7 @@ def test_numbers_come_on_topics_of_their_own(bench):
     bench.until(on_a_tick, 'the tick of that cost')
     assert heard['lower_bound'][-1].data <= heard['objective'][-1].data
     assert 0.0 <= heard['gap'][-1].data <= 1.0
-    assert heard['solve_time'][-1].data > 0.0
+    assert any(each.data > 0.0 for each in heard['solve_time'])  # 0 for a safe command
 
 
 def test_a_first_start_says_that_it_compiles_and_ends_at_a_signal(

@@ -141,7 +141,6 @@ def test_a_missing_a_stale_and_an_extrapolated_transform_are_told_apart_and_coun
     box = inputs(tf=True)
     said, counts = refusal(box)
     assert 'missing transform: none from map to odom; publish it on /tf' in said
-    assert counts == {'goal: missing transform': 1}
     box.update(TF, tf(2.0, 'map', 'odom', (0.0, 0.0, 0.0)), 0.0)
     said, counts = refusal(box, 2.5)
     assert 'stale transform: map -> odom is 0.5 s older than the message; at most' in said

@@ -74,6 +74,7 @@ class Managed(LifecycleNodeMixin, Node):
         exit_code: once not None, the process ends with it.
         steady: a clock that neither jumps nor stops, for all monitoring.
         failures: number of failed callbacks so far.
+        configured: whether it is configured, or being configured.
         active: whether it is active; callbacks made by :meth:`at_work` do nothing otherwise.
 
     Raises:
@@ -92,7 +93,8 @@ class Managed(LifecycleNodeMixin, Node):
         self.failures = 0
         self.active = False
         self._in_a_row: Counter[str] = Counter()
-        self._lasting: dict[Any, str] | None = None  # endpoints while unconfigured, and kinds
+        self.configured = False
+        self._lasting: dict[Any, str] = {}  # endpoints while unconfigured, and kinds
         self._error: BaseException | None = None  # of the last transition
         LifecycleNodeMixin.__init__(self)
         self._change: Callable[[Any, Any], Any] = self._service_change_state.callback
@@ -220,7 +222,7 @@ class Managed(LifecycleNodeMixin, Node):
 
     def on_configure(self, state: LifecycleState) -> Ended:
         """Configure the node, or clean up after a failure."""
-        self._lasting = self._endpoints()
+        self.configured, self._lasting = True, self._endpoints()
         result = self._tried(self.configure)
         if result != Ended.SUCCESS:
             self.on_cleanup(state)
@@ -242,9 +244,9 @@ class Managed(LifecycleNodeMixin, Node):
         """Destroy all endpoints created since the node was configured."""
         self.flush()  # a publisher destroyed at once may take its safe command with it
         for each, kind in self._endpoints().items():
-            if self._lasting is not None and each not in self._lasting:
+            if self.configured and each not in self._lasting:
                 getattr(self, f'destroy_{kind}')(each)
-        self._lasting = None
+        self.configured = False
         return Ended.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> Ended:
@@ -259,11 +261,6 @@ class Managed(LifecycleNodeMixin, Node):
         end = self.steady_now() + ACKNOWLEDGED
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - self.steady_now())))
-
-    @property
-    def configured(self) -> bool:
-        """Return True if the node is configured, or being configured."""
-        return self._lasting is not None
 
     def _endpoints(self) -> dict[Any, str]:
         return {each: kind for kind in ENDPOINTS for each in getattr(self, f'{kind}s')}

@@ -269,10 +269,9 @@ def _combinations(s: PlannerSettings) -> list[tuple[str, object, str]]:
     return [
         ('plan_period', s.plan_period > s.step, f'at most a step, {s.step:g} s'),
         ('deadline', s.deadline > 0.5 * s.period, f'at most half a period, {0.5 * s.period:g} s'),
-        ('safe_command', s.given_safe_command == 'loiter' and thrust,
-            'stop | hold_rate_zero | hover at translation_order 2'),
-        ('safe_command', s.given_safe_command == 'hover' and not thrust,
-            'stop | hold_rate_zero | loiter at translation_order 1'),
+        ('safe_command', s.given_safe_command == ('loiter' if thrust else 'hover'),
+            f'stop | hold_rate_zero | {"hover" if thrust else "loiter"} at translation_order '
+            f'{s.translation_order}'),
         ('gravity', s.gravity >= s.forward,
             f'below the full thrust of forward, {s.forward:g} m/s^2'),
         ('velocity_source', s.velocity_source == 'air' and thrust,
@@ -287,9 +286,8 @@ def _combinations(s: PlannerSettings) -> list[tuple[str, object, str]]:
             '0 without gravity, where nothing hovers'),
         ('hover_thrust', s.hover_thrust * s.forward > s.gravity,
             f'at most gravity / forward, {s.gravity / s.forward:.4g}: full thrust is 1'),
-        ('objective', intercepts and s.terminal != 'penalty', f'track with terminal {s.terminal}'),
-        ('objective', intercepts and s.horizon_mode != 'receding',
-            f'track with horizon_mode {s.horizon_mode}'),
+        ('objective', intercepts and (s.terminal, s.horizon_mode) != ('penalty', 'receding'),
+            'track unless terminal is penalty and horizon_mode receding'),
         ('avoid_radius', s.avoid and not s.avoid_radius,
             "above 0 with avoid: the sum of both vehicles' radii"),
     ]  # fmt: skip

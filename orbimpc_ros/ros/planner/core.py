@@ -138,9 +138,13 @@ class Inputs:
             self._see_anew(self.latest.get('goal'))
 
     def start_afresh(self) -> None:
-        """Forget all but a goal sent by hand, as after a reset or a clock jump."""
+        """Forget all but a goal sent by hand and bodies that last, as after a clock jump."""
         self._keep_goal_alone()
-        self.bodies.clear()
+        # Bodies without a lifetime may never be sent again: they stay where they were, at rest.
+        kept = [last for *_, last in self.bodies.values() if math.isinf(last.lifetime)]
+        self.bodies = ObstacleTracker()
+        for each in kept:
+            self.bodies.see(replace(each, time=-COMPARABLE), math.inf)
         self.transforms.forget()
         self._synchronizer = messages.PoseTwistSynchronizer()
 
@@ -339,7 +343,7 @@ class Inputs:
 
     def traffic(self, at: float) -> ObservedTraffic | None:
         """Return the traffic at a time [s]; None if there has never been a message."""
-        if not self.latest.keys() & {OBSTACLES, *self.others}:
+        if not (self.bodies or self.latest.keys() & {OBSTACLES, *self.others}):
             return None
         agents = tuple(filter(None, map(self._value, self.others)))
         tracks, settings = self.bodies.current(at), self.settings
@@ -361,8 +365,7 @@ class Inputs:
 
     @property
     def _time(self) -> int:
-        odometry = self.latest.get('odom')
-        return -1 if odometry is None else odometry.stamp.nanoseconds
+        return -1 if self.odometry is None else self.odometry.stamp.nanoseconds
 
     def _value(self, topic: str) -> Any:
         """Return the content of the latest message of a topic, if any."""

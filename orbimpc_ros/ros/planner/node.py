@@ -519,7 +519,9 @@ class PlannerNode(Managed):
     def _on_reset(self, _request: Any, response: Any) -> Any:
         self._start_afresh('requested', core.RESET)
         response.success = True
-        response.message = 'plan, estimates and inputs forgotten, but for a goal sent by hand'
+        response.message = (
+            'plan, estimates and inputs forgotten, but for goals by hand and bodies that last'
+        )
         return response
 
     def _on_enable(self, request: Any, response: Any) -> Any:
