@@ -149,7 +149,7 @@ class Problem:
         floor: minimum speed fraction.
         max_rate: limit on the body rate [rad/s], 0 for none. Without a floor it bounds the chord
             |R_{k+1} e1 - R_k e1|. With one it bounds the angle from R_k e1 to R_{k+1} e1, at all
-            speeds: see :attr:`turns_are_angles`.
+            speeds: see :attr:`turns_are_angles`; at rotation order 2 from the second turn on.
         max_acceleration: limit on the change of speed at translation order 1 [m/s^2], 0 for none:
             ||R_{k+1} e1| - |R_k e1|| <= h max_acceleration / z. For initial speeds below the floor
             see :func:`orbimpc_ros.mpc.problem.reach.entry_speed`.
@@ -298,15 +298,6 @@ class Problem:
         if not self.max_acceleration:
             return math.inf
         return self.step * self.max_acceleration / self.forward
-
-    @cached_property
-    def first_turn_is_decided(self) -> bool:
-        """Return True if ``max_rate`` does not apply to the first step.
-
-        At rotation order 2 the initial body rate decides that turn; the limit could only reduce the
-        thrust, which must not be required of a vehicle with a floor.
-        """
-        return self.rotation_order == 2 and self.floor.exists
 
     @cached_property
     def turned_cones(self) -> dict[int, float]:

@@ -149,8 +149,7 @@ def missed(problem: Problem, state: State, goals: Array, radius: Array | float) 
 
 def beyond_turning(problem: Problem, state: State) -> float:
     """Return the angle of the cone of approach beyond the largest turn [rad]; < 0 within reach."""
-    limited = problem.turns_are_angles and not problem.first_turn_is_decided
-    if not (limited and problem.approach.exists):
+    if not (problem.turned_cones and problem.approach.exists):
         return -np.inf
     ahead = float(np.clip(state.attitude[:, 0] @ problem.approach.axis(state), -1.0, 1.0))
     turned = problem.horizon * problem.widest_turn

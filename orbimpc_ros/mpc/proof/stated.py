@@ -163,7 +163,8 @@ class Stated(NamedTuple):
             shape (Q, n + 3).
         arrives: number of vectors that vanish at the end: s_N - g_N, and p_N.
         chord: largest chord of R e1 in a step; negative without a limit.
-        begun: first step, of 0..N-1, to which the chord applies.
+        begun: first step, of 0..N-1, to which the chord applies: at rotation order 2 a body rate
+            decides the first turn, and a chord could only limit the thrust, which a floor must not.
         sine: of the glide slope; 0 without.
         cosine: of the glide slope.
         bodies: that plans must stay outside of.
@@ -278,7 +279,7 @@ class Statement:
             cones=self._rows(np.zeros((0, n + 3))),
             arrives=(1 + problem.inertial) * (problem.terminal == 'constraint'),
             chord=number(problem.chord) + number(ROUNDING) if problem.max_rate else number(-1),
-            begun=int(problem.first_turn_is_decided),
+            begun=int(problem.rotation_order == 2 and floor.exists),
             bodies=self._beside(still[0, :n], self.boxes, still),
         )
 
