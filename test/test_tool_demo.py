@@ -227,7 +227,7 @@ NAMES = ('/uav1', '/uav2')
 def fleet(tmp_path_factory):
     """Return the result of a fleet of two, at twice the usual speed, and its folder."""
     out = tmp_path_factory.mktemp('fleet')
-    words = ('--vehicles', 2, '--set', 'forward=2', '--out', out)
+    words = ('--vehicles', 2, '--set=forward=2', '--set=autostart=false', '--out', out)
     return ran_here('demo', 'fleet', *words), out / 'fleet'
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from contextlib import closing
 
 import pytest
 from bags import read
@@ -116,30 +117,17 @@ def test_a_domain_belongs_to_who_claims_it_first_until_that_process_ends(domain)
 # --- the recorder
 
 
-@pytest.fixture
-def recorded(domain, observer, tmp_path, monkeypatch):
-    """Return a recorder, and a function that publishes odometry until it is recorded."""
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    recorder = Recorder(tmp_path / 'bag', topics_of(), {'parameters': '{}'}, planners=())
-    publisher = observer.node.create_publisher(Odometry, '/odom', qos(1000))
-    recorder.spin(0.0)  # subscribes to odometry
-    observer.until(publisher.get_subscription_count, 'the recorder')
-
-    def record(messages):
-        for message in messages:
-            publisher.publish(message)
-        wait_for(lambda: recorder.spin(0.1) or recorder.counts['/odom'] >= len(messages))
-
-    yield recorder, record
-    recorder.close()
-
-
-def test_the_order_of_sending_is_kept(recorded, tmp_path):
+def test_the_order_of_sending_is_kept(domain, observer, tmp_path, monkeypatch):
     """Stamps need not increase; the time of sending gives the order."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     stamps, begun = [10, 12, 11, 11, 13], time.time_ns()
-    recorder, record = recorded
-    record([Odometry(header=header(stamp * SECOND, 'odom')) for stamp in stamps])
-    recorder.close()
+    with closing(Recorder(tmp_path / 'bag', topics_of(), {'parameters': '{}'}, ())) as recorder:
+        publisher = observer.node.create_publisher(Odometry, '/odom', qos(1000))
+        recorder.spin(0.0)  # subscribes to odometry
+        observer.until(publisher.get_subscription_count, 'the recorder')
+        for stamp in stamps:
+            publisher.publish(Odometry(header=header(stamp * SECOND, 'odom')))
+        wait_for(lambda: recorder.spin(0.1) or recorder.counts['/odom'] >= len(stamps))
     found = sorted(read(tmp_path / 'bag'), key=lambda message: message.sent)
     assert [message.content.header.stamp.sec for message in found] == stamps
     assert [message.stamp // SECOND for message in found] == stamps

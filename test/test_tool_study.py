@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from dying_engine import FAILURES
-from harness import PATIENCE, ROOT, TOOL, wait_for
+from harness import PATIENCE, ROOT, TOOL, alive, children_of, wait_for
 
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.ros.parameters.planner import planner_settings
@@ -216,7 +216,8 @@ def test_results_go_on_where_they_were_cut_off_and_only_with_the_same_study(tmp_
             study.rows_of(file, about, resumed=True)
 
 
-def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tool, tmp_path):
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGKILL])
+def test_a_signal_leaves_what_is_flown_and_no_process_and_the_study_goes_on(tool, tmp_path, number):
     folder = tmp_path / 'study'
     flown = ('--set', 'max_ticks=2', '--runs', 20, '--workers', 1)
     words = ('study', 'retrieval', *flown, '-o', folder)
@@ -226,12 +227,14 @@ def test_ctrl_c_keeps_what_is_flown_and_the_study_goes_on(tool, tmp_path):
     process = subprocess.Popen(command, text=True, cwd=ROOT, start_new_session=True, **pipes)
     file = folder / 'flights.jsonl'
     wait_for(lambda: file.exists() and file.read_text().count('\n') > 2)
-    os.killpg(process.pid, signal.SIGINT)
+    workers, interrupted = children_of(process.pid), number == signal.SIGINT
+    (os.killpg if interrupted else os.kill)(process.pid, number)
     out, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130, err
+    assert process.returncode == (130 if interrupted else -number), err
+    wait_for(lambda: not any(map(alive, workers)))
     assert 'Traceback' not in err
     kept = file.read_text().splitlines()
-    assert f'kept {len(kept) - 1} of 20 flights' in out
+    assert f'kept {len(kept) - 1} of 20 flights' in out or not interrupted
     code, out, err = tool(*words, '--resume')
     assert code == 0, err
     assert file.read_text().splitlines()[: len(kept)] == kept

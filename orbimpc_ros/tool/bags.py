@@ -306,9 +306,7 @@ class BagWriter:
         self._stream.flush()  # complete chunks survive even if the recorder is killed
 
     def close(self) -> None:
-        """Write the index and the metadata, once."""
-        if self._stream.closed:
-            return
+        """Write the index and the metadata."""
         self._writer.finish()
         self._stream.close()
         begin = min(self._first, self._last)

@@ -41,8 +41,8 @@ VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
     'dubins': {'no_floor': ('floor.shape=none',), 'floor': ('floor.shape=polygon',)},
 }
 SPIN = 0.05  # [s]
-# The simulator exits after its flight, and begins once planner and recorder have subscribed.
-OF_A_RUN = {'exit_when_done': True, 'wait_subscribers': 2}
+# Nodes start by themselves. The simulator waits for planner and recorder, and exits in the end.
+OF_A_RUN = {'autostart': True, 'wait_subscribers': 2, 'exit_when_done': True}
 QUIET, DRAIN = 0.1, 1.0  # [s] of silence that completes a bag, and longest wait for it
 AGAIN = 0.2  # [s] between repetitions of a time on /clock: messages may be lost
 DEPTH = 1000  # a slow disk must not cost messages

@@ -26,11 +26,13 @@ the vehicle has them.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import multiprocessing
 import os
 import signal
+import sys
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
@@ -121,8 +123,7 @@ def _folder(out: str | None, name: str, resumed: bool) -> Path:
         return new_folder(OUT, name)
     folder = Path(out) if resumed else folder_at(Path(out))
     if not resumed and any(folder.iterdir()):
-        allowed = 'a new or an empty folder, or --resume of a study'
-        raise BadInput(str(folder), 'a folder with files', allowed)
+        raise BadInput(out, 'a folder with files', 'a new or an empty folder, or --resume')
     return folder
 
 
@@ -223,11 +224,9 @@ def workers(cluster: str | None, count: int | None) -> Iterator[Executor]:
         BadInput: no scheduler answers, or it has no workers.
     """
     if cluster is None:
-        context = multiprocessing.get_context('spawn')
         threads = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS'), '1')
         os.environ.update(threads)  # processes take all cores: threads would compete
-        deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)
-        with ProcessPoolExecutor(count, context, *deaf) as pool:
+        with ProcessPoolExecutor(count, multiprocessing.get_context('spawn'), _follow) as pool:
             yield pool
         return
     import distributed
@@ -240,6 +239,13 @@ def workers(cluster: str | None, count: int | None) -> Iterator[Executor]:
         raise BadInput('--cluster', tried, 'the address of a scheduler with workers') from None
     with client:
         yield client.get_executor(pure=False)
+
+
+def _follow() -> None:
+    """Leave Ctrl-C to the parent process, and end with it even if it is killed, on Linux."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == 'linux':
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
 
 
 # --- random parameters
@@ -430,11 +436,11 @@ def _body(rule: Mapping[str, Any], rng: np.random.Generator) -> list[float]:
 def report(draws: Draws, rows: Rows) -> str:
     """Return the report in Markdown: a table with a row for each controller."""
     table = [_row(draws, name, rows) for name in rows]
+    cells = table[0], ['---'] * len(table[0]), *(each.values() for each in table)
     lines = [
         *(f'# {draws.name}: {draws.about}', ''),
         *(f'{len(next(iter(rows.values())))} flights by each controller.', ''),
-        *(_cells(*table[0]), '|' + ' --- |' * len(table[0])),
-        *(_cells(*each.values()) for each in table),
+        *(f'| {" | ".join(each)} |' for each in cells),
     ]
     return '\n'.join(lines) + '\n'
 
@@ -469,10 +475,6 @@ def _row(draws: Draws, name: str, rows: Rows) -> dict[str, str]:
         'without a plan': f'{sum(row["unplanned"] for row in flights) / ticks:.1%}',
         'tick, p50 / longest [ms]': f'{np.median(p50):.1f} / {max(longest):.0f}',
     }
-
-
-def _cells(*cells: str) -> str:
-    return f'| {" | ".join(cells)} |'
 
 
 def draw(draws: Draws, rows: Rows, file: Path) -> None:
