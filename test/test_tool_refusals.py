@@ -25,6 +25,7 @@ REFUSED = {
     'demo --set flor.shape=none': 'floor.shape',
     'demo --set step=fast': 'step',
     'demo --set step': 'name=value',
+    'demo --set step=.nan': '--set step is nan; allowed: finite',
     'demo --set zzzzzz=1': 'dimension',  # similar to no parameter
     'demo --set horizon=2.5': 'horizon',
     'demo --set floor.fraction=0.9': 'floor.fraction',  # above the limit

@@ -114,7 +114,7 @@ def parse(text: str, name: str) -> Any:
             with suppress(json.JSONDecodeError):  # not JSON, but YAML's flow style
                 content = json.loads(text, object_pairs_hook=_unique)
         content = yaml.load(text, StrictLoader) if content is None else content
-        _require_plain(content)
+        _require_plain(content, name)
     except BadInput:
         raise
     except Exception as error:  # of any kind, over which a parser stumbles
@@ -133,20 +133,20 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _require_plain(value: Any, path: str = '') -> None:
+def _require_plain(value: Any, name: str, path: str = '') -> None:
     """Require mappings with names as keys, lists, and scalars of bounded magnitude."""
     if isinstance(value, dict):
         for key, inner in value.items():
             if not isinstance(key, str):
                 raise BadInput.stating(f'field {key!r}', 'not a name', 'names are needed as keys')
-            _require_plain(inner, f'{path}.{key}' if path else key)
+            _require_plain(inner, name, f'{path}.{key}' if path else key)
     elif isinstance(value, list):
         for inner in value:
-            _require_plain(inner, path)
+            _require_plain(inner, name, path)
     elif isinstance(value, (int, float)) and not abs(value) <= MAX_NUMBER:
-        raise BadInput(path, str(value), f'finite, of a magnitude of at most {MAX_NUMBER:g}')
+        raise BadInput(path or name, str(value), f'finite, of a magnitude up to {MAX_NUMBER:g}')
     elif (value is not None and not isinstance(value, (str, int, float))) or '\0' in str(value):
-        raise BadInput(path, str(value), 'numbers, words, lists and mappings')
+        raise BadInput(path or name, str(value), 'numbers, words, lists and mappings')
 
 
 # --- results
