@@ -255,7 +255,8 @@ def test_a_single_sighting_is_no_flight(tool, tmp_path, monkeypatch, caught):
 
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('name', ['retrieval', 'spacecraft'])
-def test_short_flights_and_those_without_plans_are_drawn(name, tmp_path):
+def test_short_and_long_flights_and_those_without_plans_are_drawn(name, tmp_path):
+    assert len([*plot.instants(flight(name, line([5.0, 1.0, 0.0], 900)))]) == plot.FRAMES + 1
     flown = replace(of_bag(GOLDEN / name), captured=False)
     for each in (first(flown, 2), replace(first(flown, 5), plans=(), ticks=())):
         assert set(plot.written({'': each}, tmp_path)) == STILL

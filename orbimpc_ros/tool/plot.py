@@ -45,7 +45,7 @@ Flights = Mapping[str, History]  # by name
 Line = tuple[Array, Array]  # times [s] and values
 ANIMATION = 'animation.gif'
 COARSE = 90  # dots per inch of an animation
-FRAMES = 150  # at most, or one per tick
+FRAMES = 150  # at most: each takes 4 MB until all are written
 PER_STEP = 5  # frames per tick, at most
 FRAME, LAST = 80, 2500  # [ms] that a frame is shown, and the last one
 PALETTE = 128
@@ -343,9 +343,8 @@ def instants(history: History) -> Iterator[dict[str, Array]]:
     """Yield the points of each animated line, shape (K, 3) [m], interpolated between odometry."""
     path = history.positions
     reach = NOSE * float(np.ptp(path, axis=0).max())
-    per_step = int(np.clip(FRAMES // max(1, len(path) - 1), 1, PER_STEP))
     end = len(path) - 1
-    steps = np.linspace(0.0, end, end * per_step + 1)
+    steps = np.linspace(0.0, end, min(FRAMES, PER_STEP * end) + 1)
     for step, now, goal in zip(steps, *history.at(steps)[2:], strict=True):
         k = int(step)
         plans = [points for time, points in history.plans if time <= history.times[k]]
