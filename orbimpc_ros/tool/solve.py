@@ -30,8 +30,8 @@ def run(
     number(time_limit, '--time-limit', 0.0, above=True)
     if certificate:
         files.folder_at(Path(certificate).parent, '--certificate')
-        if Path(certificate).is_dir():
-            raise BadInput('--certificate', certificate, 'a file')
+        if Path(certificate).is_dir() or certificate == file:
+            raise BadInput('--certificate', certificate, 'a file other than the problem')
     case = case_of(files.read(file))
     solver = Solver(case.problem, projection=projection, patient=True)
     if case.state.hazards:
