@@ -9,7 +9,9 @@ import pytest
 from plans import assembled
 from problems import CASES, ORDERS, disturbed, floor, goals, weights
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
+from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.mpc.arrays import frozen
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
@@ -31,6 +33,7 @@ from orbimpc_ros.mpc.problem.reach import constraints_in_force, decided
 from orbimpc_ros.mpc.solve.solver import Solver, Units
 
 STILL, GOALS = State.at([0.0, 0.0], np.eye(2)), np.zeros((5, 2))
+SEEN, WORDS = Odometry(0.0, [0.0, 0.0], np.eye(2), [1.0, 0.0], [0.0]), [['left', 0.0]] * 5
 DISC = Ball([3.0, 1.0], 0.5)
 DRIFTING = MovingObstacle.drifting(DISC, [0.0, 1.0])
 MOVED = [[0.0, 0.0], [1.0, 0.0]]
@@ -108,29 +111,27 @@ VALUES = {
         (lambda: Problem(dimension=3, floor=Floor('polygon', 6, 0.6)), 'floor.fraction'),
         (lambda: Problem(dimension=3, floor=Floor('polygon', 4, 0.5)), 'floor.faces'),
         (lambda: Floor('polygon', 2, 0.4), 'floor.faces'),
-        (lambda: Floor('circle', 4, 1.1), 'floor.fraction'),
-        (lambda: Floor('circle', 4, 0.0), 'floor.fraction'),
+        *((lambda f=f: Floor('circle', 4, f), 'floor.fraction') for f in (0.0, 1.1)),
         (lambda: Box([0.0, 0.0], [1.0, 0.0]), 'obstacles.max'),
         (lambda: Box([0.0, np.nan], [1.0, 1.0]), 'obstacles.min'),
-        (lambda: State.at([0.0], np.eye(2)), 'state.position'),
-        (lambda: State.at([0.0, np.nan], np.eye(2)), 'state.position'),
-        (lambda: State.at([0.0, 0.0], np.eye(3)), 'state.rotation'),
-        (lambda: State.at([0.0, 0.0], 1.1 * np.eye(2)), 'state.rotation'),
-        (lambda: State.at([0.0, 0.0], np.ones((2, 2))), 'state.rotation'),
+        *((lambda s=s: State.at(s, np.eye(2)), 'state.position') for s in ([0.0], [0.0, np.nan])),
+        *(
+            (lambda r=r: State.at([0.0, 0.0], r), 'state.rotation')
+            for r in (np.eye(3), 1.1 * np.eye(2), np.ones((2, 2)))
+        ),
         (lambda: State.at([0.0] * 3, np.diag([1.0, 1.0, -1.0])), 'state.rotation'),
         (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
-        (lambda: asked(np.zeros((4, 2))), 'goals'),
-        (lambda: asked(np.full((5, 2), 'far')), 'goals'),
+        *((lambda g=g: asked(g), 'goals') for g in (GOALS[1:], GOALS * np.nan, WORDS)),
+        *((lambda g=g: Planner(Problem()).step(Snapshot(SEEN, g)), 'goal') for g in ([0.0], WORDS)),
+        (lambda: Planner(Problem(), safe='circle'), 'safe'),
         (lambda: asked(np.zeros((5, 3)), dimension=3), 'state.position'),
-        (lambda: asked(GOALS, np.zeros((4, 2))), 'guess'),
-        (lambda: asked(GOALS, np.full((5, 2), 'left')), 'guess'),
+        *((lambda g=g: asked(GOALS, g), 'guess') for g in (GOALS[1:], WORDS)),
         (lambda: asked(GOALS, rotation_order=2, coasting=True), 'state.coasted'),
         (lambda: asked(GOALS, weights=Weights(attitude=1.0)), 'state.wanted'),
         (lambda: Solver(Problem(), projection='near'), 'projection'),
         (lambda: Solver(Problem(), gap_tolerance=np.nan), 'gap_tolerance'),
         (lambda: Problem(3, 1, 1, tilt=0.2), 'tilt'),
-        (lambda: Problem(3, 1, 2, tilt=1.6), 'tilt'),
-        (lambda: Problem(3, 1, 2, tilt=-0.1), 'tilt'),
+        *((lambda tilt=tilt: Problem(3, 1, 2, tilt=tilt), 'tilt') for tilt in (-0.1, 1.6)),
         (lambda: Problem(3, glide_slope=1.6), 'glide_slope'),
         (lambda: Problem(translation_order=2, max_acceleration=1.0), 'max_acceleration'),
         (lambda: weighed(Problem(), 'space'), 'weights.scaling'),

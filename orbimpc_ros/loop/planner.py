@@ -17,6 +17,7 @@ import numpy as np
 
 from orbimpc_ros.loop.compensation import Compensator, Odometry, PlanStart, Response, WindReport
 from orbimpc_ros.loop.fallback import (
+    SAFE_COMMANDS,
     cheapest_clear,
     clear_instead,
     clearest,
@@ -29,7 +30,7 @@ from orbimpc_ros.loop.fallback import (
 from orbimpc_ros.loop.goal.motion import GoalMotion, Route
 from orbimpc_ros.loop.intercept import FARTHEST, MEMORY, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.traffic import ObservedTraffic, nearest, reserving
-from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed, word
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
@@ -196,7 +197,7 @@ class Planner:
         if reserve and not capture_radius:
             self._still = tuple(map(MovingObstacle.drifting, problem.obstacles))
             problem = replace(problem, obstacles=())
-        self.problem, self._safe_kind = problem, safe
+        self.problem, self._safe_kind = problem, word(safe, 'safe', SAFE_COMMANDS)
         self._compensator = Compensator(
             problem,
             response,
@@ -325,7 +326,7 @@ class Planner:
         """Decide on the next command.
 
         Args:
-            snapshot: the inputs.
+            snapshot: the inputs; BadInput if its goal has another shape, or is not finite.
             now: when the command takes effect, on the clock of the stamps [s]; None if delays are
                 not compensated.
             late: whether the deadline of searches has passed; they then return their best plan.
@@ -397,17 +398,16 @@ class Planner:
         case, plan = (problem, state, np.zeros((0, 0))), before.plan if before else None
         return Task(*case, self._solver_for, plan, pace, since, self._projection, late)
 
-    def _planned(self, goal: Array | GoalMotion | None, start: PlanStart, task: Task) -> Decision:
+    def _planned(self, goal: Any, start: PlanStart, task: Task) -> Decision:
         """Return the decision for a known goal."""
         memory, state, odometry = self._memory, task.state, start.odometry
-        assert goal is not None
         ends = odometry.time + task.problem.step * self._counted[: task.problem.horizon]
-        motion, held, catch = None if isinstance(goal, np.ndarray) else goal, '', None
+        motion, held, catch = goal if hasattr(goal, 'at') else None, '', None
         if isinstance(motion, Route):
             places, held = self._paced(motion, odometry, ends)
         else:
-            places = np.array(goal if motion is None else motion.at(ends), dtype=float)
-        places.setflags(write=False)
+            places = goal if motion is None else motion.at(ends)
+        places = frozen(places, (len(ends), self.problem.dimension), 'goal')
         goals, shortened = clamp_goal(self.problem, state, places)
         task = replace(task, goals=goals)
         if not held and (state.hazards or self.problem.obstacles):

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import fields
 from typing import Any
@@ -78,6 +79,19 @@ def whole(value: Any, culprit: str, low: int, high: int) -> int:
     if is_whole and low <= value <= high:
         return int(value)
     raise BadInput(culprit, repr(value), f'an integer in [{low}, {high}]')
+
+
+def word(value: Any, culprit: str, words: Collection[str]) -> str:
+    """Return ``value`` if it is one of a few words.
+
+    Raises:
+        BadInput: it is none of them; the closest one is named.
+    """
+    if isinstance(value, str) and value in words:
+        return value
+    close = difflib.get_close_matches(str(value), words, n=1)
+    meant = f'; did you mean {close[0]!r}?' if close else ''
+    raise BadInput(culprit, value, ' | '.join(each or "''" for each in words) + meant)
 
 
 def fields_of(

@@ -31,14 +31,6 @@ class BadInput(OrbimpcError, ValueError):
         super().__init__(text or f'{culprit} is {shown}; allowed: {allowed}')
 
     @classmethod
-    def choice(cls, culprit: str, value: object, words: Iterable[str]) -> BadInput:
-        """Return the error of a value that is not one of a few words, with the closest of them."""
-        choices = [each or "''" for each in words]
-        close = difflib.get_close_matches(str(value), choices, n=1)
-        meant = f'; did you mean {close[0]!r}?' if close else ''
-        return cls(culprit, value, ' | '.join(choices) + meant)
-
-    @classmethod
     def stating(cls, subject: str, problem: str, hint: str) -> BadInput:
         """Return an error that is not about a value: ``subject: problem; hint``."""
         return cls(subject, problem, hint, f'{subject}: {_in_short(problem)}; {hint}')

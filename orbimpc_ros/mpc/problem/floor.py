@@ -17,7 +17,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, number, whole
+from orbimpc_ros.mpc.arrays import Array, number, whole, word
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.faces import Lines, edges, normals, sphere
 from orbimpc_ros.mpc.geometry.rotations import HEADING_UNDEFINED
@@ -51,8 +51,7 @@ class Floor:
     fraction: float = math.sqrt(0.3)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.shape, str) or self.shape not in SHAPES:
-            raise BadInput.choice('floor.shape', self.shape, tuple(SHAPES))
+        word(self.shape, 'floor.shape', SHAPES)
         whole(self.faces, 'floor.faces', 3, MAX_FACES)
         number(self.fraction, 'floor.fraction', 0.0, 1.0, above=True)
 

@@ -19,7 +19,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed, whole
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed, whole, word
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import MEMBERSHIP_TOLERANCE, margin, nearest
 from orbimpc_ros.mpc.model.translation import (
@@ -199,9 +199,8 @@ class Problem:
         for name, ends in RANGES.items():
             number(getattr(self, name), name, *ends)
         whole(self.translation_order, 'translation_order', 1, max(TRANSLATIONS))
-        for name, choices in (('terminal', TERMINALS), ('discretisation', tuple(DISCRETISATIONS))):
-            if getattr(self, name) not in choices:
-                raise BadInput.choice(name, getattr(self, name), choices)
+        word(self.terminal, 'terminal', TERMINALS)
+        word(self.discretisation, 'discretisation', DISCRETISATIONS)
         if not isinstance(self.no_corner_cutting, bool):
             raise BadInput('no_corner_cutting', self.no_corner_cutting, 'true | false')
         if self.translation_order not in DISCRETISATIONS[self.discretisation]:
@@ -347,8 +346,7 @@ def weighed(problem: Problem, scaling: str) -> Problem:
     Raises:
         BadInput: no such scaling.
     """
-    if scaling not in SCALINGS:
-        raise BadInput.choice('weights.scaling', scaling, SCALINGS)
+    word(scaling, 'weights.scaling', SCALINGS)
     return problem if scaling == 'paper' else replace(problem, weights=_summed(problem))
 
 

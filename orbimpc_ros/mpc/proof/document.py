@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of, whole
+from orbimpc_ros.mpc.arrays import Array, fields_of, frozen, number, numbers_of, whole, word
 from orbimpc_ros.mpc.errors import BadInput, OrbimpcError
 from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Approach, Ball, Floor, Problem, State, Weights
@@ -360,8 +360,7 @@ def _body(stated: Any, n: int, count: int) -> Body:
     shape = body_of(stated, 'body', ('of',), ('shifts', 'grown'))
     if shape.dimension != n:
         raise BadInput('body', stated, f'a body of dimension {n}')
-    if stated['of'] not in PARTS:
-        raise BadInput.choice('body.of', stated['of'], PARTS)
+    word(stated['of'], 'body.of', PARTS)
     shifts = frozen(stated.get('shifts', np.zeros((count + 1, n))), (count + 1, n), 'body.shifts')
     grown = frozen(stated.get('grown', np.zeros(count)), (count,), 'body.grown')
     return Body(shape, stated['of'], shifts, grown)

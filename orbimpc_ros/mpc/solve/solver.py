@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, frozen, number
+from orbimpc_ros.mpc.arrays import Array, frozen, number, word
 from orbimpc_ros.mpc.check import holds, violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, OrbimpcError, SolverFailure
 from orbimpc_ros.mpc.geometry.rotations import PROJECTIONS, coordinate_count
@@ -146,9 +146,7 @@ class Solver:
         patient: bool = False,
         enough: Enough | None = None,
     ) -> None:
-        if projection not in PROJECTIONS:
-            raise BadInput.choice('projection', projection, PROJECTIONS)
-        self.problem, self._projection = problem, projection
+        self.problem, self._projection = problem, word(projection, 'projection', PROJECTIONS)
         self._tolerance = number(gap_tolerance, 'gap_tolerance', 0.0, 1.0)
         self._units, self._patient = Units.of(problem), patient
         self._shape = problem.horizon, coordinate_count(problem.dimension)  # of guesses
@@ -235,11 +233,11 @@ class Solver:
             raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
         if self.problem.wants_attitude and state.wanted is None:
             raise BadInput('state.wanted', None, 'a rotation, in a file goal_attitude, for its end')
-        goals = _floats(goals, (self.problem.horizon, self.problem.dimension), 'goals')
+        goals = frozen(goals, (self.problem.horizon, self.problem.dimension), 'goals')
         if isinstance(guess, Plan):
             guess = guess.x[1:] if guess.x[1:].shape == self._shape else None
         elif guess is not None:
-            guess = _floats(guess, self._shape, 'guess')
+            guess = frozen(guess, self._shape, 'guess')
         return Request(state, goals, guess, out_of_time, self._patient, self._enough)
 
     def _searched(self, state: State) -> State:
@@ -430,9 +428,3 @@ class Task:
             return plan, Status.OPTIMAL, outside
         unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
         return plan, plan.status, joined(unproved, plan.proof.reason, outside)
-
-
-def _floats(value: Array, shape: tuple[int, ...], culprit: str) -> Array:
-    """Return an array of floats of a shape as it is; convert other numbers, refuse the rest."""
-    fits = isinstance(value, np.ndarray) and (value.dtype, value.shape) == (float, shape)
-    return value if fits else frozen(value, shape, culprit)

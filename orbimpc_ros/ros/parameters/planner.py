@@ -13,6 +13,7 @@ from orbimpc_ros.loop.fallback import SAFE_COMMANDS, decided
 from orbimpc_ros.loop.goal.forecast import FORECASTS
 from orbimpc_ros.loop.traffic import Distance
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.geometry.rotations import PROJECTIONS
 from orbimpc_ros.mpc.problem import MAX_HORIZON, TERMINALS, Approach, Floor, Problem, Weights
 from orbimpc_ros.mpc.problem.floor import SHAPES
 from orbimpc_ros.mpc.problem.problem import SCALINGS, STEEPEST_GLIDE, weighed
@@ -29,7 +30,6 @@ from orbimpc_ros.ros.parameters.spec import (
 )
 from orbimpc_ros.ros.transforms import Edge, stated
 
-PROJECTIONS = ('nearest', 'thrust_aligned')
 ROUNDING = 1e-5  # in units of a step's length: above the tolerance of checked plans
 
 

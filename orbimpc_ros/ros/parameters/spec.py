@@ -27,7 +27,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.parameter import Parameter
 
 from orbimpc_ros.loop.compensation import SOURCES
-from orbimpc_ros.mpc.arrays import Array, sealed
+from orbimpc_ros.mpc.arrays import Array, sealed, word
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem import Box
 from orbimpc_ros.mpc.problem.problem import WIDEST_CONE, Approach
@@ -125,8 +125,8 @@ class ParameterSpec:
             BadInput: of another type, out of range, not finite or not among the choices.
         """
         value = self.typed(value)
-        if self.choices and value not in self.choices:
-            raise BadInput.choice(self.name, value, self.choices)
+        if self.choices:
+            word(value, self.name, self.choices)
         numbers = np.asarray(value if self.kind in NUMBERS else ())
         if not np.all((numbers >= self.low) & (numbers <= self.high)):
             raise BadInput(self.name, value, self.allowed)
@@ -205,10 +205,10 @@ def unused(given: Iterable[tuple[str, str]], full: str, kind: str) -> list[str]:
         last = section.rpartition('/')[2]
         if file not in used or last not in names or f'/{name}' == section != full:
             ignored.append(f'section {section} in {file}')
-    for flag, word in pairwise(sys.argv):
-        owner, colon, _ = word.partition(':=')[0].rpartition(':')
+    for flag, rule in pairwise(sys.argv):
+        owner, colon, _ = rule.partition(':=')[0].rpartition(':')
         if flag in ('-p', '--param') and colon and f'/{owner}' != full:
-            ignored.append(f'-p {word}')
+            ignored.append(f'-p {rule}')
     return ignored
 
 
