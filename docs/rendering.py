@@ -19,6 +19,7 @@ from orbimpc_ros.sim.node import Orders
 from orbimpc_ros.sim.parameters import sim_settings
 from orbimpc_ros.sim.world import Flight, departure
 from orbimpc_ros.tool import bags, settings
+from orbimpc_ros.tool.plot import LAST
 
 SIZE = 480, 720  # [px] height and width
 LATER = 2**62  # [ns] after any flight
@@ -50,12 +51,12 @@ def picture(engine: Any, renderer: mujoco.Renderer) -> Image.Image:
 
 
 def render(bag: Path, file: Path) -> None:
-    """Write the animation of a flight in real time."""
+    """Write the animation of a flight in real time; the catch, its end, is shown for longer."""
     pictures: list[Image.Image] = []
     for flight in flown_again(bag):
         engine = flight.vehicle.engine
         if not pictures:
             renderer = mujoco.Renderer(engine._model, *SIZE)
         pictures.append(picture(engine, renderer))
-    duration = round(1e3 * flight.settings.model.step)
-    pictures[0].save(file, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+    shown = [round(1e3 * flight.settings.model.step)] * (len(pictures) - 1) + [LAST]
+    pictures[0].save(file, save_all=True, append_images=pictures[1:], duration=shown, loop=0)
