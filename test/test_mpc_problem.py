@@ -56,7 +56,7 @@ def directed(cone=0.3, direction=(1.0, 0.0)):
     return Problem(approach=Approach(cone, direction))
 
 
-def tracked(times, shifts):
+def tracked(times, shifts=MOVED):
     return MovingObstacle(DISC, np.array(times), np.array(shifts))
 
 
@@ -139,9 +139,7 @@ VALUES = {
         (lambda: Problem(obstacles=(Ball([1.0, 2.0, 3.0], 1.0),)), 'obstacles.centre'),
         *((lambda c=c: Ball(c, 1.0), 'obstacles.centre') for c in (np.eye(2), [[1.0], [1.0, 2.0]])),
         (lambda: tracked([0.0], [[0.0, 0.0]]), 'obstacles.times'),
-        (lambda: tracked([0.0, 0.0], MOVED), 'obstacles.times'),
-        (lambda: tracked([0.5, 1.0], MOVED), 'obstacles.times'),
-        (lambda: tracked([0.0, np.nan], MOVED), 'obstacles.times'),
+        *((lambda b=b: tracked(b), 'obstacles.times') for b in ([0, 0], [0.5, 1], [0, np.nan])),
         (lambda: tracked([0.0, 1.0], [[1.0, 0.0], [1.0, 0.0]]), 'obstacles.shifts'),
         (lambda: tracked([0.0, 1.0], [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 'obstacles.shifts'),
         *(
