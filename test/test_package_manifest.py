@@ -232,6 +232,7 @@ def test_a_general_method_says_in_a_line_what_it_needs(bare):
 )
 def test_what_is_missing_is_said_with_the_way_to_get_it(name, line):
     assert re.match(line, in_a_line(ModuleNotFoundError(name=name)))
+    assert in_a_line(ImportError('x: shared object\nnext')).startswith('x: shared object; ')
     for other in (f'orbimpc_ros.{name}', None):
         with pytest.raises(ModuleNotFoundError):
             in_a_line(ModuleNotFoundError(name=other))

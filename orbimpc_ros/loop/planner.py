@@ -30,7 +30,7 @@ from orbimpc_ros.loop.fallback import (
 from orbimpc_ros.loop.goal.motion import GoalMotion, Route
 from orbimpc_ros.loop.intercept import FARTHEST, MEMORY, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.traffic import ObservedTraffic, nearest, reserving
-from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed, word
+from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed, word
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
@@ -326,7 +326,7 @@ class Planner:
         """Decide on the next command.
 
         Args:
-            snapshot: the inputs; BadInput if its goal has another shape, or is not finite.
+            snapshot: the inputs.
             now: when the command takes effect, on the clock of the stamps [s]; None if delays are
                 not compensated.
             late: whether the deadline of searches has passed; they then return their best plan.
@@ -406,8 +406,8 @@ class Planner:
         if isinstance(motion, Route):
             places, held = self._paced(motion, odometry, ends)
         else:
-            places = goal if motion is None else motion.at(ends)
-        places = frozen(places, (len(ends), self.problem.dimension), 'goal')
+            places = np.array(goal if motion is None else motion.at(ends), dtype=float)
+        places.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, places)
         task = replace(task, goals=goals)
         if not held and (state.hazards or self.problem.obstacles):

@@ -48,7 +48,7 @@ def _run(node: str) -> int:
     gc.disable()  # until the node runs: objects of the start are permanent
     try:
         main = import_module(f'{PACKAGES[node]}.node').main
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         print(f'{node}: {in_a_line(error)}', file=sys.stderr)
         return BAD_INPUT
     return int(main())
@@ -57,8 +57,10 @@ def _run(node: str) -> int:
 planner, sim = partial(_run, 'planner'), partial(_run, 'sim')
 
 
-def in_a_line(error: ModuleNotFoundError) -> str:
+def in_a_line(error: ImportError) -> str:
     """Return in one line how to install a missing package; raise the error of any other module."""
+    if 'shared object' in str(error):  # the environment of ROS is incomplete, as under sudo
+        return f'{str(error).splitlines()[0]}; source the setup.sh of ROS 2 in this shell'
     package = (error.name or '').partition('.')[0]
     if package not in (*OTHERS, *EXTRAS):
         raise error

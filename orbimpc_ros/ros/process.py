@@ -367,7 +367,6 @@ SPIN = 0.05  # [s] longest response to a signal
 LAST_RESORT = 30.0  # [s] after which a process that hangs on exit is ended
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 SECURITY = 'ROS_SECURITY_ENABLE'
-INDENT = ' ' * 6  # of descriptions of parameters in --help
 ARGUMENTS = 'arguments of ROS: --params-file FILE, -p NAME:=VALUE, -r FROM:=TO, -r __ns:=/NS'
 USAGE = f"""\
 {ARGUMENTS}
@@ -487,9 +486,7 @@ def _require_ros_arguments(node_type: type[Managed]) -> None:
     lines = [USAGE]
     for each in sorted(node_type.specs, key=attrgetter('name')):
         lines.append(f'  {each.name}  {json.dumps(each.default)} {each.unit}'.rstrip())
-        lines += textwrap.wrap(
-            each.description, 80, initial_indent=INDENT, subsequent_indent=INDENT
-        )
+        lines.append(textwrap.indent(textwrap.fill(each.description, 74), ' ' * 6))
     parser = argparse.ArgumentParser(
         usage=f'{node_type.kind} [--ros-args ARGUMENT...]',
         epilog='\n'.join(lines),

@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OrbimpcError as error:
         _complain(str(error))
         return CODES.get(type(error), FAILED)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         _complain(in_a_line(error))
         return BAD_INPUT
     except KeyboardInterrupt:

@@ -233,11 +233,11 @@ class Solver:
             raise BadInput('state.coasted', None, 'a rotation: the solver was made for coasting')
         if self.problem.wants_attitude and state.wanted is None:
             raise BadInput('state.wanted', None, 'a rotation, in a file goal_attitude, for its end')
-        goals = frozen(goals, (self.problem.horizon, self.problem.dimension), 'goals')
+        goals = _floats(goals, (self.problem.horizon, self.problem.dimension), 'goals')
         if isinstance(guess, Plan):
             guess = guess.x[1:] if guess.x[1:].shape == self._shape else None
         elif guess is not None:
-            guess = frozen(guess, self._shape, 'guess')
+            guess = _floats(guess, self._shape, 'guess')
         return Request(state, goals, guess, out_of_time, self._patient, self._enough)
 
     def _searched(self, state: State) -> State:
@@ -428,3 +428,9 @@ class Task:
             return plan, Status.OPTIMAL, outside
         unproved = '' if plan.is_closed else f'not proved optimal: gap {plan.gap:.2g}'
         return plan, plan.status, joined(unproved, plan.proof.reason, outside)
+
+
+def _floats(value: Array, shape: tuple[int, ...], culprit: str) -> Array:
+    """Return finite floats of a shape as they are; convert other numbers, refuse the rest."""
+    fits = isinstance(value, np.ndarray) and (value.dtype, value.shape) == (float, shape)
+    return value if fits and np.isfinite(value).all() else frozen(value, shape, culprit)
