@@ -34,6 +34,7 @@ F = TypeVar('F', float, Array)
 SOURCES = ('ground', 'air')  # of a measured velocity
 PARTS = 4  # of the time between commands, in each of which a vehicle with lags moves evenly
 MEMORY = 32  # commands
+LONGEST = 1e3  # [s] largest lag
 NOISE = 0.05  # of full speed: smaller excesses over the range are not reported
 
 
@@ -179,9 +180,6 @@ def covered(shares: Sequence[float], duration: float, lag: float) -> list[float]
     return [integral for _, integral in steps][1:]
 
 
-LONGEST = 1e3  # [s]
-
-
 @dataclass(frozen=True)
 class Response:
     """First-order lags of a vehicle that otherwise follows commands at once.
@@ -215,18 +213,17 @@ class Response:
 
 GIVEN, ESTIMATED = 'given', 'estimated'
 DISTURBANCES = (GIVEN, ESTIMATED)
-GATE = 5.0  # standard deviations: larger deviations are rejected as outliers
-PATIENCE = 2  # consecutive rejected measurements, after which the position is accepted
+GATE = 5.0  # standard deviations: a larger deviation is rejected as an outlier, unless repeated
 SHIFT = 3.0  # standard deviations: a larger bias of the innovations indicates another wind
 RECENT = 0.5  # [s] time constant of that bias
+SMOOTHING = 5.0  # [s] time constant of the noise of measurements
 GAP = 2.0  # [s] longest gap in odometry that is bridged
 LARGEST = 0.8  # of full speed or thrust, as the largest estimate: the rest is for steering
 REPORTED = 1.5  # the same with a reported wind, which may blow wings backwards
 UNSTATED = 1.0  # [m^2/s^2] variance of a reported wind that states none
 ALIKE = 10.0  # [s] correlation time of the errors of reported winds
 # Standard deviations, relative to full speed or thrust z.
-NOISE_OF_PLACE = 0.01  # of measurements, in z s (order 1) or z s^2 (order 2)
-NOISE_OF_SPEED = 0.01  # of measurements (order 2), in z s
+NOISE_SEEN = 0.01  # of measurements, at least, in z s; at order 2 of places in z s^2
 GUSTS = 0.05  # of the effect of commands per second: gusts, gains, discretisation
 GUSTS_SEEN = 0.01  # the same if the measured airspeed, with its gusts, is used instead of commands
 DRIFT = 0.03  # of the change of the disturbance per second
@@ -272,8 +269,6 @@ class Compensator:
         self._estimated = estimated
         self._gusts = GUSTS_SEEN if sideslip else GUSTS
         self._drift = DRIFT_PUSHED if problem.inertial else DRIFT
-        variances = NOISE_OF_PLACE**2, NOISE_OF_SPEED**2
-        self._variances = np.array(variances[: 1 + problem.inertial])  # of the measured quantities
         self.history = CommandHistory(self.response.speed)
         self.start_afresh(wind=True)
 
@@ -284,10 +279,12 @@ class Compensator:
             self._estimate = np.zeros((3, self._problem.dimension))
             self._estimate[-1] = self._given
             self._covariance = np.diag([0.0, 0.0, PRIOR**2])
+            self._variances = np.full(1 + self._problem.inertial, NOISE_SEEN**2)  # measured
         self._last: Odometry | None = None
+        self._missed: Array | None = None  # innovation of the last measurement
         self._leaning = np.zeros(self._problem.dimension)  # recent bias of innovations, normalised
         self._reported = -math.inf  # stamp of the last reported wind [s]
-        self.innovation, self._refused = 0.0, 0
+        self.innovation = 0.0
 
     def continue_from(self, other: Compensator) -> None:
         """Take over the memory of another compensator."""
@@ -298,7 +295,8 @@ class Compensator:
         self._estimate, self._covariance = other._estimate.copy(), other._covariance
         self._estimate[-1] += self._given - other._given
         self._last, self._leaning, self._reported = other._last, other._leaning, other._reported
-        self.innovation, self._refused = other.innovation, other._refused
+        self.innovation, self._missed = other.innovation, other._missed
+        self._variances = other._variances
 
     @property
     def disturbance(self) -> Array:
@@ -544,7 +542,7 @@ class Compensator:
 
         Over ground, its uncertainty is that of the wind, or the range of speeds of the vehicle.
         """
-        least, noise = self._problem.least_speed, NOISE_OF_SPEED
+        least, noise = self._problem.least_speed, NOISE_SEEN
         share = self._airspeed(odometry) / self._problem.forward
         self.history.begun = min(1.0, max(least, share))
         if self._velocity_source == 'ground':
@@ -574,7 +572,7 @@ class Compensator:
         self._estimate[: len(seen)] = seen
         for row, variance in enumerate(self._variances):
             self._forget(row, variance)
-        self.innovation, self._refused = 0.0, 0
+        self.innovation, self._missed = 0.0, None
 
     def _predict(self, last: Odometry, now: Odometry) -> bool:
         """Propagate the state to a measurement; return False if the commands since are unknown.
@@ -609,16 +607,24 @@ class Compensator:
         seen = self._seen(odometry)
         count, unit = len(seen), self._problem.forward
         missed = seen - self._estimate[:count]
-        spread = self._covariance[:count, :count] + np.diag(self._variances)
+        predicted = self._covariance[:count, :count]
+        spread = predicted + np.diag(self._variances)
         off = np.einsum('in,ij,jn->n', missed, np.linalg.inv(spread), missed) / unit**2
-        self.innovation = float(np.sqrt(off.max() / count))
+        refused, self.innovation = self.innovation > GATE, float(np.sqrt(off.max() / count))
+        if self._missed is not None:
+            # Independent if due to noise, equal in another place, increasing in another wind.
+            total = np.mean((missed - self._missed) * (missed - 2.0 * self._missed), axis=1) / 3.0
+            noise = np.minimum(total / unit**2, GATE**2 * np.diagonal(spread))
+            kept = math.exp(-time / SMOOTHING)
+            smooth = kept * self._variances + (1.0 - kept) * (noise - np.diagonal(predicted))
+            self._variances = np.maximum(smooth, NOISE_SEEN**2)
+        self._missed = missed
         if self.innovation > GATE:
-            self._refused += 1
-            if self._refused >= PATIENCE:  # the wind may have shifted as well
+            if refused:  # again: the wind may have shifted as well
                 self._believe(odometry)
                 self._doubt()
             return
-        self._refused, kept = 0, math.exp(-time / RECENT)
+        kept = math.exp(-time / RECENT)
         latest = missed[-1] / (unit * math.sqrt(spread[-1, -1]))
         self._leaning = kept * self._leaning + math.sqrt(1.0 - kept**2) * latest
         self._learn(np.eye(count, 3), missed, self._variances)
