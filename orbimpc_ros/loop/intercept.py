@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -89,11 +89,11 @@ def steps_before(bound: float, step: float) -> int:
     return max(0, math.ceil(bound / step - TINY) - 1)
 
 
-def catching(problem: Problem, radius: float, end: float) -> Problem:
-    """Return the problem of minimising the miss at an end, in units of steps.
+def catching(problem: Problem, radius: float, end: float, narrow: bool = False) -> Problem:
+    """Return the problem of minimising the miss at an end, possibly in the ``narrow`` cone.
 
-    An end within a step shortens all steps. One beyond the horizon lengthens them; turns within
-    longer steps are integrated, whatever the discretisation of the original ones.
+    An end, in units of steps, within a step shortens all steps. One beyond the horizon lengthens
+    them; turns within longer steps are integrated, whatever the original discretisation.
     """
     steps, length = _steps_to(problem, end)
     how = 'exact' if end > steps else problem.discretisation
@@ -101,8 +101,15 @@ def catching(problem: Problem, radius: float, end: float) -> Problem:
     if problem.rotation_order == 2:
         change *= 4.0 / length**2  # a change, and its reversal
     weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
+    cone = problem.approach.cone * (NARROW if narrow else 1.0)
     return replace(
-        problem, horizon=steps, step=length, discretisation=how, weights=weights, arrival_weight=0.0
+        problem,
+        horizon=steps,
+        step=length,
+        discretisation=how,
+        weights=weights,
+        arrival_weight=0.0,
+        approach=replace(problem.approach, cone=cone),
     )
 
 
@@ -121,13 +128,12 @@ class InterceptQuery:
     now: float  # start of the task, on the clock of the motion [s]
     pause: float = math.inf  # between ticks, in steps
     expected: float = 0.0  # planned end of the catch, in steps; none if not positive
-    most: float = math.inf  # largest number of plans tried
-    tried: int = 0
+    most: float = math.inf  # number of plans that may still be tried
 
     def late(self) -> bool:
         """Return True if the deadline has passed, or the limit of plans is reached."""
         late = self.task.late
-        return self.tried >= self.most or (late is not None and late())
+        return self.most <= 0 or (late is not None and late())
 
 
 class _Attempt(NamedTuple):
@@ -174,8 +180,7 @@ class Interception:
         centred: bool = False,
     ) -> None:
         self._tracked, self._radius, self._lag = problem, radius, lag
-        self._near = GRAZE * radius
-        self._centred = centred
+        self._near, self._centred = GRAZE * radius, centred
         self._step, self._horizon = problem.step, problem.horizon
         self.farthest = problem.horizon  # last end at which to search for a catch, in steps
         if problem.rotation_order == 1 and not problem.boxes:  # none is between longer steps
@@ -191,7 +196,7 @@ class Interception:
         self._aim = (NARROW if self._coned else AIM) * radius
         self._costliest = (1.0 + EFFORT) * radius**2  # of catches
         self._solver_for = solver_for
-        self.problem = lru_cache(maxsize=MEMORY)(self._problem)
+        self.problem = lru_cache(maxsize=MEMORY)(partial(catching, problem, radius))
         for end in range(1, self._horizon + 1):  # used by nearly every search
             for narrow in (False, True) if self._coned else (False,):
                 self.solver(end, narrow)
@@ -203,14 +208,6 @@ class Interception:
         """
         well = (NARROW * self._radius) ** 2 if end > self._horizon else -math.inf
         return self._solver_for(self.problem(end, narrow), enough=Enough(well, self._costliest))
-
-    def _problem(self, end: float, narrow: bool = False) -> Problem:
-        """Return the problem of minimising the miss at an end, possibly in the narrower cone."""
-        problem = catching(self._tracked, self._radius, end)
-        if not narrow:
-            return problem
-        cone = NARROW * problem.approach.cone
-        return replace(problem, approach=replace(problem.approach, cone=cone))
 
     def prepare(self, expected: float) -> None:
         """Build the solvers of a catch expected at about an end, in steps.
@@ -243,9 +240,8 @@ class Interception:
         first = min(bound, best.end) if caught else bound
         goals = self._goals(query, self._horizon)
         sought = Case(self._tracked, query.task.state, goals, self._radius)
-        when, verified = best.end if caught else math.nan, min(counted, first)
-        catch = Intercept(self._step * when, self._step * first, sought, self._step * verified)
-        return best.solution, catch
+        h, when = self._step, best.end if caught else math.nan
+        return best.solution, Intercept(h * when, h * first, sought, h * min(counted, first))
 
     def _goals(self, query: InterceptQuery, end: float) -> Array:
         """Return the positions of the goal at all steps up to an end, shape (N or less, n)."""
@@ -430,7 +426,7 @@ class Interception:
                 return best
             task = replace(posed, goals=aims)
             answer = task.solved()
-            query.tried += 1
+            query.most -= 1
             plan, status, _ = answer
             if plan is None:
                 return NEVER if status is Status.INFEASIBLE and aims is goals else best

@@ -218,17 +218,16 @@ class Planner:
         if self._still:
             self.expect_hazards()
         self._interception: Interception | None = None
-        self._approach = approach or Approach()
+        self._approach, self._wants_attitude = approach or Approach(), problem.wants_attitude
         if number(capture_radius, 'capture_radius', 0.0) > 0.0:
             if shrinking or problem.terminal != 'penalty':
                 raise BadInput('capture_radius', capture_radius, '0 with an arrival in time')
             caught = replace(problem, approach=self._approach)
+            self._wants_attitude = caught.wants_attitude
             lag = self._compensator.response.speed
             self._interception = Interception(
                 caught, capture_radius, self._solver_for, lag, centred=centred
             )
-        by_its_axis = self._interception is not None and self._approach.is_the_goals
-        self._wants_attitude = problem.wants_attitude or by_its_axis
         self._memory = self._fresh()
 
     # --- memory
@@ -347,8 +346,7 @@ class Planner:
         memory = self._memory
         memory.wanted = memory.wanted if lost else snapshot.wanted
         wanted = memory.wanted if self._wants_attitude else None  # otherwise unused
-        reached = memory.reached  # base of limited changes of speed
-        state = State.at(**start.state, commanded=reached, wanted=wanted, hazards=hazards)
+        state = State.at(**start.state, commanded=memory.reached, wanted=wanted, hazards=hazards)
         memory.last, memory.passed = start.odometry.time, passed
         memory.flown += passed
         task = self._task(state, late)
@@ -360,9 +358,8 @@ class Planner:
         else:
             decision = self._planned(snapshot.goal, start, task)
         memory.decision = decision
-        if any(start.odd):
-            decision = replace(decision, reason=joined(decision.reason, *start.odd))
-        return replace(decision, **start.compensated, left_out=left_out)
+        words = joined(decision.reason, *start.odd)
+        return replace(decision, reason=words, **start.compensated, left_out=left_out)
 
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
@@ -492,10 +489,11 @@ class Planner:
             message = f'approach: no catch in the cone found; none before {catch.bound:.4g} s'
         if caught is not None:
             chosen, answer = replace(caught[0], state=task.state), caught[1]
+            duration = chosen.problem.step * chosen.problem.horizon
             if not task.state.hazards or cheapest_clear(chosen, filter(None, answer[:1])):
-                memory.catch = now + chosen.problem.step * chosen.problem.horizon
+                memory.catch = now + duration
                 return chosen, answer, catch
-            message = f'the catch at {catch.time:.4g} s leads through traffic'
+            message = f'the catch at {duration:.4g} s leads through traffic'
             catch = replace(catch, time=math.nan)
         task, (plan, status, why) = self._tracked(task)
         return task, (plan, status, joined(why, message)), catch
