@@ -27,6 +27,7 @@ from orbimpc_ros.loop.compensation import (
 )
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
+from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import Command
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.sim.vehicle import Model, Plant, measured
@@ -281,9 +282,7 @@ def test_a_lagging_spacecraft_arrives_at_rest(seed, gain):
 @pytest.mark.parametrize('rotation_order', [1, 2])
 def test_a_vehicle_that_obeys_at_once_is_sent_what_is_due_now(rotation_order):
     """At translation order 2 a plan's command is for the next step: it is sent when that begins."""
-    problem = Problem(
-        rotation_order=rotation_order, translation_order=2, horizon=8, floor=Floor('circle', 4, 0.3)
-    )
+    problem = Problem(2, rotation_order, 2, horizon=8, floor=Floor('circle', 4, 0.3))
     prompt, plain = (Stepped(problem, response=Response(lag, lag)) for lag in (1e-9, 0.0))
     position, sent, planned = np.zeros(2), [], []
     for k in range(4):
@@ -297,6 +296,8 @@ def test_a_vehicle_that_obeys_at_once_is_sent_what_is_due_now(rotation_order):
         if rotation_order == 2:
             np.testing.assert_array_equal(now.body_rate, before.body_rate)
     assert sent[0].speed_fraction == pytest.approx(0.3)
+    prompt.safe(np.eye(2), Reason(Cause.DISABLED, 'a stop'))  # is below the floor, and is over
+    assert prompt.tick(odometry, goals).plan is not None
 
 
 # --- the estimated disturbance

@@ -482,7 +482,7 @@ class Compensator:
         """
         before, self.history.due = self.history.coming, command
         if problem.inertial:
-            due = problem.least_speed if before is None else before.speed_fraction
+            due = max(problem.least_speed, before.speed_fraction if before else 0.0)  # after a stop
             late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
             fraction = (1.0 - late) * due + late * command.speed_fraction
             command = replace(command, speed_fraction=fraction)
