@@ -29,6 +29,7 @@ from orbimpc_ros.mpc.arrays import Array, Sealed, number
 from orbimpc_ros.mpc.geometry.rotations import exp, log, turned
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
+from orbimpc_ros.mpc.problem.reach import moved_towards
 
 F = TypeVar('F', float, Array)
 SOURCES = ('ground', 'air')  # of a measured velocity
@@ -95,6 +96,7 @@ class CommandHistory:
         sent: recent commands with known times [s], and the share of full speed or thrust then.
         due: the command of the step that begins, of a vehicle with lags; None if it is the last.
         begun: share of full speed or thrust before the first of the ``sent`` ones.
+        reached: share of full speed led to by commands within limits; None without any.
     """
 
     def __init__(self, lag: float = 0.0) -> None:
@@ -102,6 +104,7 @@ class CommandHistory:
         self.last: Command | None = None
         self.sent: deque[tuple[float, Command, float]] = deque(maxlen=MEMORY)
         self.due: Command | None = None
+        self.reached: float | None = None
 
     @property
     def coming(self) -> Command | None:
@@ -110,8 +113,8 @@ class CommandHistory:
 
     @property
     def fraction(self) -> float:
-        """Return the last commanded share of full speed or thrust; 0 before the first command."""
-        return 0.0 if self.last is None else self.last.speed_fraction
+        """Return the share reached, or last commanded; 0 before the first command."""
+        return getattr(self.last, 'speed_fraction', 0.0) if self.reached is None else self.reached
 
     def applied(self, time: float) -> float:
         """Return the share of full speed or thrust that commands have led to at a time [s].
@@ -119,7 +122,7 @@ class CommandHistory:
         Without times, the last command counts as reached.
         """
         if not self.sent:
-            return self.begun if self.last is None else self.fraction
+            return self.begun if self.last is None else self.last.speed_fraction
         for at, command, reached in reversed(self.sent):
             if at < time:
                 return followed(reached, command.speed_fraction, time - at, self.lag)[0]
@@ -216,7 +219,7 @@ DISTURBANCES = (GIVEN, ESTIMATED)
 GATE = 5.0  # standard deviations: a larger deviation is rejected as an outlier, unless repeated
 SHIFT = 3.0  # standard deviations: a larger bias of the innovations indicates another wind
 RECENT = 0.5  # [s] time constant of that bias
-SMOOTHING = 5.0  # [s] time constant of the noise of measurements
+SMOOTHING = 10.0  # [s] time constant of the noise of measurements
 GAP = 2.0  # [s] longest gap in odometry that is bridged
 LARGEST = 0.8  # of full speed or thrust, as the largest estimate: the rest is for steering
 REPORTED = 1.5  # the same with a reported wind, which may blow wings backwards
@@ -441,6 +444,7 @@ class Compensator:
         elif coming is not None and problem.max_rate:
             lagging = problem.turns_are_angles and self.response.speed
             fraction = self.history.applied(odometry.time) if lagging else applied
+            fraction = moved_towards(problem, self.history.fraction, fraction)  # unlike a stop
         else:
             fraction = min(1.0, max(0.0, self._airspeed(odometry) / problem.forward))
         coasted = None
@@ -612,9 +616,9 @@ class Compensator:
         off = np.einsum('in,ij,jn->n', missed, np.linalg.inv(spread), missed) / unit**2
         refused, self.innovation = self.innovation > GATE, float(np.sqrt(off.max() / count))
         if self._missed is not None:
-            # Independent if due to noise, equal in another place, increasing in another wind.
-            total = np.mean((missed - self._missed) * (missed - 2.0 * self._missed), axis=1) / 3.0
-            noise = np.minimum(total / unit**2, GATE**2 * np.diagonal(spread))
+            # Innovations due to noise are independent; those due to lags or wind change slowly.
+            total = 0.5 * np.mean((missed - self._missed) ** 2, axis=1) / unit**2
+            noise = np.minimum(total, GATE**2 * np.diagonal(spread))
             kept = math.exp(-time / SMOOTHING)
             smooth = kept * self._variances + (1.0 - kept) * (noise - np.diagonal(predicted))
             self._variances = np.maximum(smooth, NOISE_SEEN**2)

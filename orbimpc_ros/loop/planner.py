@@ -113,7 +113,6 @@ class _Memory:
 
     aim: Array  # goal at the end of the last plan found, shape (n,) [m]
     flown: float  # steps since the start
-    reached: float | None = None  # share of full speed reached by following commands
     decision: Decision | None = None  # the last one from fresh odometry
     wanted: Array | None = None  # attitude of the last goal
     fallbacks: int = 0  # decisions since a plan was found
@@ -228,12 +227,9 @@ class Planner:
             self._interception = Interception(
                 caught, capture_radius, self._solver_for, lag, centred=centred
             )
-        self._memory = self._fresh()
+        self.start_afresh()
 
     # --- memory
-
-    def _fresh(self, reached: float | None = None) -> _Memory:
-        return _Memory(np.zeros(self.problem.dimension), self.lead / self.problem.step, reached)
 
     def start_afresh(self, *, wind: bool = False) -> None:
         """Forget the previous plan, but not the command in force; the horizon starts anew.
@@ -242,7 +238,7 @@ class Planner:
             wind: whether to forget the estimated disturbance, too.
         """
         self._compensator.start_afresh(wind=wind)
-        self._memory = self._fresh(self._memory.reached)
+        self._memory = _Memory(np.zeros(self.problem.dimension), self.lead / self.problem.step)
 
     def continue_from(self, other: Planner) -> None:
         """Take over another planner's memory, for instance from one with other weights."""
@@ -333,7 +329,8 @@ class Planner:
         measured = snapshot.odometry
         unsafe = self.unsafe(None if measured is None else snapshot.odometry_age, snapshot.stop)
         if unsafe is not None or measured is None:
-            self._change_speed(1.0)
+            sent, h = self._compensator.history.sent, self.problem.step
+            self._change_speed((now - sent[-1][0]) / h if sent and now is not None else 1.0)
             return self._safe(measured, Status.FAILED, unsafe or WAITING)
         start = self._compensator.start(measured, snapshot.latency, now, snapshot.wind)
         hazards, left_out = self._hazards(snapshot, start.odometry)
@@ -346,7 +343,8 @@ class Planner:
         memory = self._memory
         memory.wanted = memory.wanted if lost else snapshot.wanted
         wanted = memory.wanted if self._wants_attitude else None  # otherwise unused
-        state = State.at(**start.state, commanded=memory.reached, wanted=wanted, hazards=hazards)
+        reached = self._compensator.history.reached  # base of limited changes of speed
+        state = State.at(**start.state, commanded=reached, wanted=wanted, hazards=hazards)
         memory.last, memory.passed = start.odometry.time, passed
         memory.flown += passed
         task = self._task(state, late)
@@ -358,8 +356,9 @@ class Planner:
         else:
             decision = self._planned(snapshot.goal, start, task)
         memory.decision = decision
-        words = joined(decision.reason, *start.odd)
-        return replace(decision, reason=words, **start.compensated, left_out=left_out)
+        if any(start.odd):
+            decision = replace(decision, reason=joined(decision.reason, *start.odd))
+        return replace(decision, **start.compensated, left_out=left_out)
 
     def _hazards(
         self, snapshot: Snapshot, odometry: Odometry
@@ -373,13 +372,11 @@ class Planner:
 
     def _change_speed(self, steps: float) -> None:
         """Update the speed reached towards the last command, a number of steps later."""
-        memory, last = self._memory, self._compensator.history.last
-        if not self.problem.max_acceleration or last is None:
-            return
-        commanded = last.speed_fraction
-        before = commanded if memory.reached is None else memory.reached
-        before = max(before, min(commanded, self.problem.least_speed))
-        memory.reached = moved_towards(self.problem, before, commanded, steps)
+        history, problem = self._compensator.history, self.problem
+        if problem.max_acceleration and history.last is not None:
+            commanded = history.last.speed_fraction
+            before = max(history.fraction, min(commanded, problem.least_speed))
+            history.reached = moved_towards(problem, before, commanded, steps)
 
     def _task(self, state: State, late: Late | None) -> Task | None:
         """Return the task, still without goals; None without any steps."""
@@ -560,7 +557,7 @@ class Planner:
         fallback: Fallback = Fallback.NONE,
     ) -> Decision:
         """Return the decision for a checked plan, if its command may be sent."""
-        problem, memory = task.problem, self._memory
+        problem = task.problem
         if problem.max_rate != self._max_rate:
             problem = replace(problem, max_rate=self._max_rate)
         command = command_of(problem, task.state, plan)
@@ -573,7 +570,7 @@ class Planner:
             reason = Reason(Cause.COMMAND, '; '.join(wrong))
             return self._safe(task.state, Status.FAILED, reason)
         if problem.max_acceleration:
-            memory.reached = entry
+            self._compensator.history.reached = entry
         context = task.problem, task.goals, reason.cause
         return Decision(status, reason.words, task.state, plan, sent, fallback, *context)
 
@@ -586,8 +583,7 @@ class Planner:
             RuntimeError: the safe command violates its own limits, which cannot happen.
         """
         kind, problem, compensator = self._safe_kind, self.problem, self._compensator
-        compensator.history.due, reached = None, self._memory.reached
-        before = compensator.history.fraction if reached is None else reached
+        compensator.history.due, before = None, compensator.history.fraction
         attitude = np.eye(problem.dimension) if measured is None else measured.attitude
         command = safe_command(kind, problem, attitude, before, compensator.disturbance)
         entry = entry_of_safety(problem, before)
