@@ -6,16 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from plans import (
-    GOALS,
-    START,
-    assembled,
-    changed,
-    only_complaint,
-    solved,
-    steered,
-    straight,
-)
+from plans import GOALS, START, assembled, changed, only_complaint, solved, steered, straight
 from problems import ORDERS, floor, rotation, state
 from problems import goals as goals_of
 

@@ -21,20 +21,13 @@ from problems import (
 )
 from stepping import Stepped, odometry
 
+from orbimpc_ros.loop.planner import Snapshot
 from orbimpc_ros.mpc.check import approach_margin, command_violations, flaw, violations
 from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, exp, turned_onto
 from orbimpc_ros.mpc.outcome import Cause, Reason
 from orbimpc_ros.mpc.plan import UNPROVED, Command, assemble, command_of
-from orbimpc_ros.mpc.problem import (
-    Approach,
-    Ball,
-    Floor,
-    MovingObstacle,
-    Problem,
-    State,
-    Weights,
-)
+from orbimpc_ros.mpc.problem import Approach, Ball, Floor, MovingObstacle, Problem, State, Weights
 from orbimpc_ros.mpc.problem.cones import climb, cone_violations, relief
 from orbimpc_ros.mpc.problem.problem import SLOWEST
 from orbimpc_ros.mpc.problem.reach import clear_of_hazards, entry_speed
@@ -150,21 +143,34 @@ def test_a_speed_that_a_cut_turn_reduces_is_not_reduced_faster_than_allowed():
     assert command_violations(problem, plan, replace(command, speed_fraction=0.15), 0.3) != []
 
 
+@pytest.mark.parametrize('period', [1.0, 0.25])
 @pytest.mark.parametrize('kind', ['loiter', 'hold_rate_zero', 'stop'])
-def test_safe_commands_change_speed_as_plans_do_but_for_a_stop(kind):
+def test_safe_commands_change_speed_as_plans_do_but_for_a_stop(kind, period):
     problem = Problem(max_acceleration=0.1, floor=floor('circle', 0.5))
     controller = Stepped(problem, safe=kind)
     ahead = np.tile([9.0, 0.0], (5, 1))
     first = controller.tick(odometry([0.0, 0.0], 0.0, 1.0), ahead).command.speed_fraction
-    lost = Reason(Cause.ODOMETRY, 'lost')
-    found = [controller.safe(np.eye(2), lost).command.speed_fraction for _ in range(8)]
+    lost, found = Reason(Cause.ODOMETRY, 'lost'), []
+    for time in np.arange(0.0, 8.0, period):
+        command = controller.step(Snapshot(stop=lost), time).command
+        controller.sent(command, time)
+        found.append(command.speed_fraction)
     if kind == 'stop':
-        assert found == [0.0] * 8
+        assert found == [0.0] * len(found)
     else:
-        assert np.abs(np.diff([first, *found])).max() <= 0.1 + 1e-9
+        assert abs(found[0] - first) <= 0.1 + 1e-9
+        assert np.abs(np.diff(found)).max() <= 0.1 * period + 1e-9
         assert found[-1] == pytest.approx(0.5 if kind == 'loiter' else first)
         fresh = Stepped(problem, safe=kind)  # at once up to the floor
         assert fresh.safe(np.eye(2), lost).command.speed_fraction == pytest.approx(0.5)
+
+
+def test_the_plan_after_a_stop_goes_on_from_the_speed_that_is_left():
+    controller = Stepped(Problem(step=0.1, forward=15.0, max_rate=0.3, max_acceleration=3.0))
+    ahead = np.tile([20.0, 0.0], (5, 1))
+    controller.tick(odometry(speed=15.0), ahead)
+    controller.safe(np.eye(2), Reason(Cause.DISABLED, 'a stop'))
+    assert controller.tick(odometry(speed=14.7, time=0.2), ahead).plan is not None
 
 
 # --- descents
