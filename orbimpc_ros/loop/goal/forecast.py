@@ -11,7 +11,7 @@ prior precisions \Gamma relative to the noise, A = B'(X'X)B + \Gamma and the ste
 The precision of the noise has a gamma prior, so that the evidence has a closed form.
 
 At each sighting oscillations take a step, all families are refitted, and the goal is tested for a
-change of course. Swings are sought at every fourth sighting.
+change of course. Swings are sought at every fifth sighting.
 
 Mathematics: docs/mathematics.md, 7.4.
 """
