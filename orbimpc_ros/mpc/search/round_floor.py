@@ -284,7 +284,12 @@ class RoundFloor(TreeSearch):
 
     def _by_branches(self, request: Request, result: Found) -> Found:
         """Return the better of a result and that of the general search, with the higher bound."""
-        other = self._general.solve(request.limited(BRANCHES)._replace(guess=result.x))
+        polls = iter(range(BRANCHES))
+        other = self._general.solve(
+            request._replace(
+                guess=result.x, out_of_time=lambda: request.late or next(polls, None) is None
+            )
+        )
         best = other if other.cost < result.cost else result
         bound = other if other.lower_bound > result.lower_bound else result
         combined = replace(best, lower_bound=bound.lower_bound, proof=bound.proof)

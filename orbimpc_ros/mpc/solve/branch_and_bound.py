@@ -15,17 +15,18 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import Infeasible
-from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
+from orbimpc_ros.mpc.proof.verify import SLICE as VERIFIED
 from orbimpc_ros.mpc.solve.dives import Dives
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
@@ -34,12 +35,13 @@ from orbimpc_ros.mpc.solve.regions import Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
 from orbimpc_ros.mpc.solve.request import Found, Request
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
+from orbimpc_ros.mpc.solve.stand_ins import sound
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
 ALONE = 'only paths in the plane of heading and goal were searched'
 FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
-PLANAR = 10  # polls of the deadline by the planar search, if bodies are yet to be passed
+FIRST, LONGEST = 3, 30  # polls of the deadline in a search for a path that meets bodies, or none
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 HALFWAY = 50.0  # factor on the tolerance where nodes cost alike: half of a plan's gap tolerance
@@ -61,12 +63,12 @@ class BranchAndBound:
         self.problem, self._coasting = problem, coasting
         among = among or len(problem.boxes) < len(problem.obstacles)
         rounded = problem.dimension == 3 and problem.floor.radius > 0.0
-        slow = problem.has_cones or among or rounded
+        self._plane = PlanarWay(problem, 0.5 * tolerance) if PlanarWay.leads(problem) else None
+        slow = problem.has_cones or among or rounded or self._plane is not None
         self.tolerance = (HALFWAY if slow else 1.0) * tolerance
         # A single relaxation needs no warm start.
         self.takes_guess = problem.floor.exists or bool(problem.obstacles) or among
         self._regions = Regions(problem)
-        self._plane = PlanarWay(problem, tolerance) if PlanarWay.leads(problem) else None
         spread = problem.weights.position or problem.weights.attitude or problem.obstacles or among
         self._in_plane = self._plane is not None and problem.dimension == 3 and not spread
         self._beside = among or bool(problem.obstacles)
@@ -84,13 +86,28 @@ class BranchAndBound:
         Raises:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
-        in_time = request if self._in_plane else request.limited(PLANAR)
-        planar = [] if self._plane is None else self._plane.paths(in_time)
-        if planar and request.hurried and self._in_plane:
-            cost = trajectory_of(self.problem, request.state, request.goals, planar[0]).objective
-            return Found(planar[0], cost, -np.inf, 1, ALONE)
+        path = Found(None, np.inf, -np.inf, 0)
+        if self._plane is not None:
+            path = self._path(self._plane, request)
+        if path.x is not None and (self._in_plane and request.hurried):
+            return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
-        return self._latest.run(planar, among=traffic_of(self.problem, request.state) is not None)
+        among = traffic_of(self.problem, request.state) is not None
+        found = self._latest.run([] if path.x is None else [path.x], path.lower_bound, among=among)
+        if path.proof is None or found.lower_bound > path.lower_bound:
+            return found
+        if request.late and len(path.proof.nodes) > VERIFIED // self.problem.horizon:
+            return found
+        return replace(found, lower_bound=path.lower_bound, proof=path.proof)
+
+    def _path(self, plane: PlanarWay, request: Request) -> Found:
+        """Return the best path in a plane without bodies; if it meets one, the first found."""
+        if self._in_plane:
+            return replace(plane.solve(request), reason=ALONE)
+        path = plane.solve(request, FIRST)
+        if path.proof is not None and any(sound(self.problem, request, [path.x])):
+            path = plane.solve(request._replace(guess=path.x), LONGEST)
+        return path
 
     @cached_property
     def program(self) -> Relaxed:
@@ -126,11 +143,14 @@ class Search:
         self._nodes = [Node(0, -np.inf, regions.root())]
         self._open = [self._nodes[0]]
 
-    def run(self, candidates: Sequence[Array] = (), *, among: bool = False) -> Found:
+    def run(
+        self, candidates: Sequence[Array] = (), bound: float = -np.inf, *, among: bool = False
+    ) -> Found:
         """Run the search, with first incumbents from candidates and beside paths.
 
         Args:
             candidates: rotation coordinates of trajectories, shape (N, d), that may be infeasible.
+            bound: lower bound on the cost of all trajectories, proved otherwise.
             among: whether paths are followed from the root: the best trajectory, and candidates.
         """
         regions, best, root, stood_in = self._regions, self._dives, self._nodes[0], False
@@ -138,7 +158,7 @@ class Search:
             raise Infeasible(NOTHING)
         for x in candidates:
             best.offer(x)
-        while self._open and self._open[0].bound < self._limit:
+        while self._open and max(bound, self._open[0].bound) < self._limit:
             if best.solved >= MAX_NODES or (best.solved and self._request.late):
                 break
             if best.solved >= FRUITLESS and best.x is None and not stood_in:

@@ -5,24 +5,24 @@ A fixed wing turns towards its goal in the plane spanned by its heading and the 
 problem is solved by the search over sectors in a millisecond or two, and its headings, mapped back
 to space, satisfy floor and turn rate as they do in the plane. If goals or wind lie in no plane
 through the heading, the plane that fits the goals best (weighted least squares) is taken. Among
-bodies it is a path to begin with, in planar problems too.
+bodies it is a path to begin with, in planar problems too; there its bound holds as well.
 
 Mathematics: docs/mathematics.md, 4.9.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates, matrix
 from orbimpc_ros.mpc.model.dynamics import motion_weights
 from orbimpc_ros.mpc.problem import Floor, Problem, State
 from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.search.engine import PlanarSearch
-from orbimpc_ros.mpc.solve.request import Request
+from orbimpc_ros.mpc.solve.request import Found, Request
 
 
 class PlanarWay:
@@ -41,11 +41,18 @@ class PlanarWay:
     def leads(problem: Problem) -> bool:
         """Return True if planar paths satisfy all constraints of a problem except its obstacles."""
         plain = not (problem.approach.exists or problem.has_cones or problem.max_acceleration)
-        fits = problem.dimension == 2 or problem.rotation_order == 1
-        return fits and plain and problem.turns_are_angles and PlanarSearch.solves(_planar(problem))
+        fits = problem.turns_are_angles and (plain or problem.dimension == 2)
+        return fits and PlanarSearch.solves(_planar(problem))
 
-    def paths(self, request: Request) -> list[Array]:
-        """Return the coordinates of R_1..R_N of the best path, shape (N, d); none on overflow."""
+    def solve(self, request: Request, polls: float = math.inf) -> Found:
+        """Return the best path, without a bound if that is one of many in space; none on overflow.
+
+        Args:
+            request: state, goals and guess.
+            polls: most polls of the deadline.
+        """
+        if self._problem.dimension == 2:
+            return self._search.solve(request, polls)
         state, attitude = request.state, request.state.attitude
         aside = (request.goals - decided(self._problem, state)[0][1:]) @ attitude[:, 1:]
         across = np.linalg.svd(self._weights[:, None] * aside)[2][0]
@@ -59,12 +66,15 @@ class PlanarWay:
         )
         guess = None if request.guess is None else request.guess[:, :3] @ plane
         goals = (request.goals - state.position) @ plane
-        result = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
-        return [] if result.x is None else [coordinates(carried(attitude, result.x @ plane.T))]
+        found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess), polls)
+        x = None if found.x is None else coordinates(carried(attitude, found.x @ plane.T))
+        return replace(found, x=x, lower_bound=-np.inf, proof=None)
 
 
 def _planar(problem: Problem) -> Problem:
-    """Return the planar problem without bodies, with a floor that allows every heading."""
-    floor = Floor('circle', fraction=problem.floor.circling(problem.dimension))
+    """Return the planar problem without bodies; for space, its floor allows every heading."""
+    if problem.dimension == 2:
+        return replace(problem, obstacles=())
+    floor = Floor('circle', fraction=problem.floor.circling(3))
     weights = replace(problem.weights, attitude=0.0)
     return replace(problem, dimension=2, floor=floor, obstacles=(), weights=weights)

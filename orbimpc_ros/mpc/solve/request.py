@@ -73,11 +73,6 @@ class Request(NamedTuple):
         """Return True if the deadline has passed."""
         return self.out_of_time is not None and self.out_of_time()
 
-    def limited(self, polls: int) -> Request:
-        """Return the request with a deadline after some polls, unless its own comes before."""
-        left = iter(range(polls))
-        return self._replace(out_of_time=lambda: self.late or next(left, None) is None)
-
 
 @dataclass(frozen=True)
 class Found:
