@@ -77,14 +77,7 @@ class TreeSearch:
         cost = self._hessian, self._inverse, q, self._lengths, constant
         return StageProblem(*cost, self._floor, self._arrival, left, self._stiff)
 
-    def _run(
-        self,
-        request: Request,
-        posed: StageProblem,
-        tree: Tree,
-        *inputs: object,
-        polls: float = math.inf,
-    ) -> Found:
+    def _run(self, request: Request, posed: StageProblem, tree: Tree, *inputs: object) -> Found:
         """Search until it ends or the time is up; return the result with its proof.
 
         There is no proof if the time is up, and too short to verify it.
@@ -92,10 +85,11 @@ class TreeSearch:
         Raises:
             Infeasible: the root is empty.
         """
+        left = request.rounds
         tree.counts[:] = 0  # it begins
         while (status := self._search(posed, self._tolerance, tree, *inputs, SLICE)) == PAUSED:
-            polls -= 1.0
-            if request.late or polls <= 0.0 or request.enough.met(self._result(tree, posed)):
+            left -= 1.0
+            if request.late or left <= 0.0 or request.enough.met(self._result(tree, posed)):
                 break
         if status == EMPTY:
             raise Infeasible('no turn meets the cone of approach')
@@ -164,12 +158,8 @@ class PlanarSearch(TreeSearch):
             )
         )
 
-    def solve(self, request: Request, polls: float = math.inf) -> Found:
+    def solve(self, request: Request) -> Found:
         """Return the best trajectory found, with the tree that proves a bound.
-
-        Args:
-            request: state, goals, and maybe a guess.
-            polls: most polls of the deadline.
 
         Raises:
             Infeasible: no turns lead to an allowed last heading.
@@ -179,7 +169,7 @@ class PlanarSearch(TreeSearch):
         tree, room = tree_for(thread, ROOM // steps, steps, 2, 0), room_for(thread, steps)
         # Copied, since for a read-only or strided array other code would be compiled in a tick.
         guess = NONE if request.guess is None else np.array(request.guess, order='C')
-        return self._run(request, posed, tree, ring, guess, room, polls=polls)
+        return self._run(request, posed, tree, ring, guess, room)
 
     def _ring(self, state: State) -> Ring:
         """Return the floor and the limits of headings and speeds from a state."""

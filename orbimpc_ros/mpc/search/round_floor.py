@@ -73,7 +73,7 @@ NEAR = 0.2  # share of a bound's gap: climbs that cannot gain more than this end
 # at the root, whose point is needed as a start for descents
 YOUNG, EVERY = 4, 4  # descents start from each of the first nodes, then from every 4th
 MOST, ROOM = 12_800, 800_000  # most nodes of a search; nodes times steps
-BRANCHES = 8000  # most polls of the deadline by the general search
+BRANCHES = 2500  # most nodes of the general search
 STIFF = 1e4  # weight of an arrival, in units of the largest curvature
 SAME = 1e-9  # relative: costs this close to the incumbent's count as equal
 OUT_OF_REACH = 1e-9  # relative margin beyond the reach
@@ -284,12 +284,7 @@ class RoundFloor(TreeSearch):
 
     def _by_branches(self, request: Request, result: Found) -> Found:
         """Return the better of a result and that of the general search, with the higher bound."""
-        polls = iter(range(BRANCHES))
-        other = self._general.solve(
-            request._replace(
-                guess=result.x, out_of_time=lambda: request.late or next(polls, None) is None
-            )
-        )
+        other = self._general.solve(request._replace(guess=result.x, rounds=BRANCHES))
         best = other if other.cost < result.cost else result
         bound = other if other.lower_bound > result.lower_bound else result
         combined = replace(best, lower_bound=bound.lower_bound, proof=bound.proof)

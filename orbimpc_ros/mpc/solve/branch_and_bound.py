@@ -14,7 +14,6 @@ Mathematics: docs/mathematics.md, 4.9 and 5.3.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -38,10 +37,11 @@ from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.stand_ins import sound
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
+NOWHERE = Found(None, np.inf, -np.inf, 0)
 NOTHING = 'no trajectory satisfies the constraints'
 ALONE = 'only paths in the plane of heading and goal were searched'
 FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
-FIRST, LONGEST = 3, 30  # polls of the deadline in a search for a path that meets bodies, or none
+FIRST, LONGEST = 3, 30  # rounds of the search for a path in a plane that meets bodies, or none
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 HALFWAY = 50.0  # factor on the tolerance where nodes cost alike: half of a plan's gap tolerance
@@ -86,27 +86,19 @@ class BranchAndBound:
         Raises:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
-        path = Found(None, np.inf, -np.inf, 0)
-        if self._plane is not None:
-            path = self._path(self._plane, request)
-        if path.x is not None and (self._in_plane and request.hurried):
+        path = NOWHERE if self._plane is None else self._path(self._plane, request)
+        if path.x is not None and self._in_plane and request.hurried:
             return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
-        among = traffic_of(self.problem, request.state) is not None
-        found = self._latest.run([] if path.x is None else [path.x], path.lower_bound, among=among)
-        if path.proof is None or found.lower_bound > path.lower_bound:
-            return found
-        if request.late and len(path.proof.nodes) > VERIFIED // self.problem.horizon:
-            return found
-        return replace(found, lower_bound=path.lower_bound, proof=path.proof)
+        return self._latest.run(path, among=traffic_of(self.problem, request.state) is not None)
 
     def _path(self, plane: PlanarWay, request: Request) -> Found:
         """Return the best path in a plane without bodies; if it meets one, the first found."""
         if self._in_plane:
             return replace(plane.solve(request), reason=ALONE)
-        path = plane.solve(request, FIRST)
-        if path.proof is not None and any(sound(self.problem, request, [path.x])):
-            path = plane.solve(request._replace(guess=path.x), LONGEST)
+        path = plane.solve(request._replace(rounds=FIRST))
+        if path.gap > self.tolerance and any(sound(self.problem, request, [path.x])):
+            path = plane.solve(request._replace(guess=path.x, rounds=LONGEST))
         return path
 
     @cached_property
@@ -143,39 +135,40 @@ class Search:
         self._nodes = [Node(0, -np.inf, regions.root())]
         self._open = [self._nodes[0]]
 
-    def run(
-        self, candidates: Sequence[Array] = (), bound: float = -np.inf, *, among: bool = False
-    ) -> Found:
-        """Run the search, with first incumbents from candidates and beside paths.
+    def run(self, path: Found, *, among: bool) -> Found:
+        """Run the search; the first incumbents are beside paths.
 
         Args:
-            candidates: rotation coordinates of trajectories, shape (N, d), that may be infeasible.
-            bound: lower bound on the cost of all trajectories, proved otherwise.
-            among: whether paths are followed from the root: the best trajectory, and candidates.
+            path: that ignores bodies, or none; its bound holds among them too.
+            among: whether paths are followed from the root: the best trajectory, and this one.
         """
         regions, best, root, stood_in = self._regions, self._dives, self._nodes[0], False
         if root.region is None:
             raise Infeasible(NOTHING)
-        for x in candidates:
-            best.offer(x)
-        while self._open and max(bound, self._open[0].bound) < self._limit:
-            if best.solved >= MAX_NODES or (best.solved and self._request.late):
+        if path.x is not None:
+            best.offer(path.x)
+        most = min(MAX_NODES, self._request.rounds)
+        while self._open and max(path.lower_bound, self._open[0].bound) < self._limit:
+            if best.solved >= most or (best.solved and self._request.late):
                 break
             if best.solved >= FRUITLESS and best.x is None and not stood_in:
                 stood_in = True
                 best.stand_in()
             self._expand(heapq.heappop(self._open))
             if among and self._open:
-                for path in (best.x, *candidates):
-                    if path is not None:
-                        best.dive(regions.headings(path), self._rows(root))
+                for x in (best.x, path.x):
+                    if x is not None:
+                        best.dive(regions.headings(x), self._rows(root))
                 among = False
         if best.x is None:
             best.recall()
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if max(lower, root.bound) == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
-        return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
+        tree = path.proof if path.lower_bound >= lower else None
+        if tree is None or (self._request.late and tree.shor.size > VERIFIED):
+            return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
+        return Found(best.x, best.cost, path.lower_bound, best.solved, proof=tree)
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""

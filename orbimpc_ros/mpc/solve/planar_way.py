@@ -12,7 +12,6 @@ Mathematics: docs/mathematics.md, 4.9.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -44,15 +43,10 @@ class PlanarWay:
         fits = problem.turns_are_angles and (plain or problem.dimension == 2)
         return fits and PlanarSearch.solves(_planar(problem))
 
-    def solve(self, request: Request, polls: float = math.inf) -> Found:
-        """Return the best path, without a bound if that is one of many in space; none on overflow.
-
-        Args:
-            request: state, goals and guess.
-            polls: most polls of the deadline.
-        """
+    def solve(self, request: Request) -> Found:
+        """Return the best path, in space as one of many, without a bound; none on overflow."""
         if self._problem.dimension == 2:
-            return self._search.solve(request, polls)
+            return self._search.solve(request)
         state, attitude = request.state, request.state.attitude
         aside = (request.goals - decided(self._problem, state)[0][1:]) @ attitude[:, 1:]
         across = np.linalg.svd(self._weights[:, None] * aside)[2][0]
@@ -66,7 +60,7 @@ class PlanarWay:
         )
         guess = None if request.guess is None else request.guess[:, :3] @ plane
         goals = (request.goals - state.position) @ plane
-        found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess), polls)
+        found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
         x = None if found.x is None else coordinates(carried(attitude, found.x @ plane.T))
         return replace(found, x=x, lower_bound=-np.inf, proof=None)
 

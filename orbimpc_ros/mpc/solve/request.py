@@ -54,6 +54,8 @@ class Request(NamedTuple):
             result so far. None: no deadline.
         patient: whether the deadline leaves time to set up slower methods.
         enough: early stopping criteria, which a method may ignore.
+        rounds: most rounds of a search: nodes of the general one, milliseconds of those over stage
+            sets.
     """
 
     state: State
@@ -62,6 +64,7 @@ class Request(NamedTuple):
     out_of_time: Callable[[], bool] | None = None
     patient: bool = False
     enough: Enough = Enough()
+    rounds: float = math.inf
 
     @property
     def hurried(self) -> bool:
