@@ -75,11 +75,6 @@ class BranchAndBound:
         if not self._in_plane:  # there, with a deadline no program is solved
             _ = self.program
 
-    @staticmethod
-    def solves(problem: Problem) -> bool:
-        """Return True: this method applies to every problem."""
-        return True
-
     def solve(self, request: Request) -> Found:
         """Return the best trajectory and the proof; optimal unless time or nodes run out.
 

@@ -16,13 +16,10 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.proof.tree import ProofTree
 
-# (module, class). The first one whose ``solves`` returns True is chosen. Modules are imported one
-# by one, since the later ones take longer to import.
-METHODS = [
-    ('search.engine', 'PlanarSearch'),
-    ('search.round_floor', 'RoundFloor'),
-    ('solve.branch_and_bound', 'BranchAndBound'),
-]
+# (module, class). The first one whose ``solves`` returns True is chosen, else the general one.
+# Modules are imported one by one, since the later ones take longer to import.
+METHODS = [('search.engine', 'PlanarSearch'), ('search.round_floor', 'RoundFloor')]
+GENERAL = ('solve.branch_and_bound', 'BranchAndBound')
 PACED = ('solve.paced_speeds', 'PacedSpeeds')  # imports Clarabel, hence only with max_acceleration
 
 
@@ -114,10 +111,6 @@ class Method(Protocol):
 
     takes_guess: bool
 
-    @staticmethod
-    def solves(problem: Problem) -> bool:
-        """Return True if the method applies to a problem and is fast on this machine."""
-
     def solve(self, request: Request) -> Found:
         """Return the best trajectory found and the lower bound.
 
@@ -138,10 +131,10 @@ def method_for(
         coasting: whether states come with a ``coasted`` rotation.
         among: whether states come with hazards, which only the last method handles.
     """
-    methods, options = (METHODS[-1:], {'among': True}) if among else (METHODS, {})
-    for place, name in [PACED, *methods] if problem.max_acceleration else methods:
+    options = {'among': True} if among else {}
+    for place, name in [PACED] * bool(problem.max_acceleration) + METHODS * (not among) + [GENERAL]:
         method = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
-        if among or method.solves(problem):
-            made: Method = method(problem, tolerance, coasting=coasting, **options)
-            return made
-    raise AssertionError('the last method solves every problem')
+        if among or (place, name) == GENERAL or method.solves(problem):
+            break
+    made: Method = method(problem, tolerance, coasting=coasting, **options)
+    return made
