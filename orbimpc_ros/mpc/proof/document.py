@@ -25,14 +25,7 @@ from orbimpc_ros.mpc.plan import Proof
 from orbimpc_ros.mpc.problem import Approach, Ball, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import WEIGHTS, Case, body_of
 from orbimpc_ros.mpc.proof.stated import PARTS, Body, Cone, Limits, Statement
-from orbimpc_ros.mpc.proof.tree import (
-    ARRAYS,
-    EMPTY,
-    INTEGERS,
-    LEAF,
-    OPTIONAL,
-    ProofTree,
-)
+from orbimpc_ros.mpc.proof.tree import ARRAYS, EMPTY, INTEGERS, LEAF, OPTIONAL, ProofTree
 from orbimpc_ros.mpc.proof.verify import Verifier, rounded_down
 
 FORMAT = 'orbimpc certificate 2'

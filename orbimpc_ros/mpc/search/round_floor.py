@@ -56,14 +56,7 @@ from orbimpc_ros.mpc.search.shells import (
     misses,
     set_out,
 )
-from orbimpc_ros.mpc.search.shor import (
-    GOING,
-    KINDS,
-    PRUNED,
-    certify,
-    climb,
-    priced_branching,
-)
+from orbimpc_ros.mpc.search.shor import GOING, KINDS, PRUNED, certify, climb, priced_branching
 from orbimpc_ros.mpc.search.tree import KEY, MOST_ARCS, branch, plant, take_better, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Method, Request
 

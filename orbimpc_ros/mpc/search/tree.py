@@ -19,16 +19,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import add_product, copy_to
-from orbimpc_ros.mpc.proof.tree import (
-    ARCS,
-    CHILD,
-    CHILDREN,
-    CHOICE,
-    CUT,
-    KIND,
-    ROW,
-    SPEED,
-)
+from orbimpc_ros.mpc.proof.tree import ARCS, CHILD, CHILDREN, CHOICE, CUT, KIND, ROW, SPEED
 from orbimpc_ros.mpc.search.best_first import (
     DONE,
     EMPTY,

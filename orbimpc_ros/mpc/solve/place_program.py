@@ -30,13 +30,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import COMPILED, bare, compiled, entry_point
-from orbimpc_ros.mpc.kernels.linear import (
-    SINGULAR,
-    copy_to,
-    extend_factor,
-    refutes,
-    solve_factored,
-)
+from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, extend_factor, refutes, solve_factored
 from orbimpc_ros.mpc.model.dynamics import Condensed, suits_dense_code
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row, stacked

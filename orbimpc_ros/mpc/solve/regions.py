@@ -40,16 +40,7 @@ from orbimpc_ros.mpc.proof.rows import side_of
 from orbimpc_ros.mpc.proof.sets import about
 from orbimpc_ros.mpc.proof.splits import GONE, ICOSAHEDRON, WHOLE, Cut, Region, begin, narrowed
 from orbimpc_ros.mpc.proof.stated import Bodies, Statement
-from orbimpc_ros.mpc.proof.tree import (
-    ARCS,
-    CUT,
-    FACES,
-    NOWHERE,
-    PATCHES,
-    POINTS,
-    QUARTERS,
-    SIDES,
-)
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, FACES, NOWHERE, PATCHES, POINTS, QUARTERS, SIDES
 from orbimpc_ros.mpc.solve.relaxation import HEADING, Row
 from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.turns import Turns
