@@ -92,9 +92,13 @@ class BranchAndBound:
         if self._in_plane:
             return replace(plane.solve(request), reason=ALONE)
         path = plane.solve(request._replace(rounds=FIRST))
-        if path.gap > self.tolerance and any(sound(self.problem, request, [path.x])):
-            path = plane.solve(request._replace(guess=path.x, rounds=LONGEST))
-        return path
+        done = path.proof is None or path.gap <= self.tolerance
+        if done or not any(sound(self.problem, request, [path.x])):
+            return path
+        rounds = LONGEST if request.hurried else np.inf
+        longer = plane.solve(request._replace(guess=path.x, rounds=rounds))
+        clear = any(sound(self.problem, request, [longer.x]))
+        return longer if clear else replace(longer, x=path.x)
 
     @cached_property
     def program(self) -> Relaxed:
