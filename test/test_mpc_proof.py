@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from problems import floor, seeds
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import coordinates, exp, lmi
 from orbimpc_ros.mpc.model.dynamics import trajectory_of
 from orbimpc_ros.mpc.model.translation import DISCRETISATIONS, step_of
@@ -73,6 +74,14 @@ def test_steps_in_fractions_leave_those_in_floats_alone():
         exact, rounded = step_of(model, Fraction(7, 8), Fraction(1)), step_of(model, 0.875, 1.0)
         assert any(each.dtype == object for each in exact)
         assert all(each.dtype == float for each in rounded)
+
+
+def test_fractions_trust_no_arc_tangent(monkeypatch):
+    problem, start = Problem(floor=floor('circle'), max_rate=0.5), State.at(np.zeros(2), np.eye(2))
+    of = math.atan2
+    monkeypatch.setattr(math, 'atan2', lambda y, x: of(y, x) + 1e-9)
+    with pytest.raises(BadInput):
+        Statement(problem, Fraction).of(start, np.ones((problem.horizon, 2)), NO_LIMITS)
 
 
 @pytest.mark.parametrize('seed', seeds(20))

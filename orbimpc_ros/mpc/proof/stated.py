@@ -40,7 +40,7 @@ from orbimpc_ros.mpc.proof.flight import (
 from orbimpc_ros.mpc.proof.tree import NOWHERE, POINTS
 
 NARROW = 1e-9  # [rad] margin to a turn, or half a turn, of sectors treated as smaller
-WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles and arc tangents
+WIDER = 1e-12  # [rad] by which sectors are widened, for rounding of angles
 ROUNDING = 1e-15  # added to a chord
 INWARD = 1.0 - 1e-12  # factor of a speed, for rounding
 UNTURNED = math.pi - 1e-9  # [rad]: larger limits on turns are ignored
@@ -427,6 +427,10 @@ class Statement:
             return {}
         ahead = state.coasted if late and state.coasted is not None else state.attitude
         heading, wider = number(math.atan2(ahead[1, 0], ahead[0, 0])), number(WIDER)
+        if number is not float:  # floats trust the arc tangent as much as cosine and sine
+            (cosine, sine), (x, y) = direction(heading), self._rows(ahead[:, 0])
+            if not abs(cosine * y - sine * x) < WIDER / 4 or not cosine * x + sine * y > 0:
+                raise BadInput('state.attitude', ahead.tolist(), 'a rotation')
         count, first = problem.horizon, 2 - problem.rotation_order
         turns = turn * self._rows(np.arange(first, first + count))
         spans[:count] = np.stack([heading - wider - turns, heading + wider + turns], axis=1)
