@@ -29,6 +29,8 @@ from orbimpc_ros.mpc.kernels import COMPILED
 from orbimpc_ros.mpc.problem import Approach, Box, Floor, Problem, State, Weights
 from orbimpc_ros.mpc.problem.case import Case
 from orbimpc_ros.mpc.problem.problem import weighed
+from orbimpc_ros.mpc.solve.regions import Regions
+from orbimpc_ros.mpc.solve.request import Request
 from orbimpc_ros.mpc.solve.solver import Solver
 
 BEST_KNOWN = ('uav_circle', 'uav_unit', 'dubins_circle')  # feasible values, not proved optimal
@@ -231,6 +233,13 @@ def test_a_cost_far_below_the_usual_is_proved_in_proportion_to_itself():
     start = State.at([0.0, 0.0], np.eye(2))
     plan = Solver(problem).solve(start, np.tile([3.0, 1.0], (2, 1)))
     assert plan.objective <= 2.0 * 2.8e-14 * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize(('shape', 'held'), [('polygon', 5), ('circle', 0)])
+def test_a_path_at_rest_is_kept_beyond_faces_but_touches_no_circle(shape, held):
+    regions, still = Regions(Problem(floor=Floor(shape))), np.zeros((6, 2))
+    regions.bind(Request(State.at(still[0], np.eye(2)), still[1:]))
+    assert len(regions.tangents(still, range(5), {})) == held
 
 
 @pytest.mark.parametrize('fraction', [0.5, 1.0])

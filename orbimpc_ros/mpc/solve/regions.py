@@ -328,7 +328,7 @@ class Regions:
         """
         rows, count, floor = Rows(), self.problem.horizon, self.problem.floor
         beyond = floor.tangent(headings[1:]) if floor.exists else headings
-        clear = ~(np.linalg.norm(headings[1:], axis=1) <= HEADING_UNDEFINED * (floor.radius > 0.0))
+        still = np.linalg.norm(headings[1:], axis=1) <= HEADING_UNDEFINED  # touch no round floor
         if self.bodies:
             _, normals, out = self._entered(headings)
             least = out + self._stated.bodies.margins[0]
@@ -338,7 +338,7 @@ class Regions:
                 continue
             if j >= 0:
                 rows[choice] = self.held(choice, (normals[j, k], float(least[j, k])))
-            elif clear[k]:
+            elif not (floor.radius and still[k]):
                 rows[choice] = self.held(choice, (beyond[k], floor.fraction))
         return rows
 
