@@ -37,7 +37,6 @@ from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
 from orbimpc_ros.mpc.solve.stand_ins import sound
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
-NOWHERE = Found(None, np.inf, -np.inf, 0)
 NOTHING = 'no trajectory satisfies the constraints'
 ALONE = 'only paths in the plane of heading and goal were searched'
 FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
@@ -81,7 +80,7 @@ class BranchAndBound:
         Raises:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
-        path = NOWHERE if self._plane is None else self._path(self._plane, request)
+        path = Found() if self._plane is None else self._path(self._plane, request)
         if path.x is not None and self._in_plane and request.hurried:
             return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long

@@ -87,10 +87,10 @@ class Found:
         proof: tree that proves the bound, in the units of the request; None without a proof.
     """
 
-    x: Array | None
-    cost: float
-    lower_bound: float
-    nodes: int
+    x: Array | None = None
+    cost: float = math.inf
+    lower_bound: float = -math.inf
+    nodes: int = 0
     reason: str = ''
     proof: ProofTree | None = None
 

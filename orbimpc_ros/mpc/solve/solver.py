@@ -38,7 +38,6 @@ SEARCH_SHARE = 0.01  # a search stops at this share of the gap tolerance
 SURELY = 1e-3  # in units of a step's length, or rad: farther beyond reach no search is needed
 OUTWARD = 1e-9  # relative reduction of published bounds: plans satisfy constraints to a tolerance
 ROUNDED = 1e-15  # reduction in units of cost: states and goals are rounded
-NOTHING = Found(None, np.inf, -np.inf, 0)
 STANDS_IN = 'a plan found without search is used'
 DOUBTFUL = 'found to be infeasible, but not verified'
 GOES_ON = 'the previous plan continues: no better one was found in time'
@@ -186,14 +185,14 @@ class Solver:
         try:
             result = self._result(request)
         except Infeasible as error:
-            result = replace(NOTHING, reason=f'a plan exists, though the search found: {error}')
+            result = Found(reason=f'a plan exists, though the search found: {error}')
             return self._instead(request, result, error)
         if result.x is None:
             return self._instead(request, result, SolverFailure(result.reason))
         plan = self._assembled(request, result.x, self._proof(request, result))
         flaws = violations(self.problem, state, request.goals, plan)
         if flaws:
-            result = replace(NOTHING, reason='the plan found fails its check: ' + '; '.join(flaws))
+            result = Found(reason='the plan found fails its check: ' + '; '.join(flaws))
             return self._instead(request, result, SolverFailure(result.reason))
         closed = plan.objective - plan.lower_bound <= self._tolerance * plan.objective
         # Proved optimal relative to its own cost, however small, or good enough, or time is up.
@@ -265,14 +264,14 @@ class Solver:
             result = method.solve(posed)
         except Infeasible as error:
             if error.proof is not None and self._verified(request, error.proof)[0] < np.inf:
-                return replace(NOTHING, reason=DOUBTFUL)
+                return Found(reason=DOUBTFUL)
             raise Infeasible(reason(self.problem, state, goals)) from None
         except (SolverFailure, ArithmeticError, np.linalg.LinAlgError) as error:  # or an overflow
-            return replace(NOTHING, reason=str(error))
+            return Found(reason=str(error))
         if result.x is None:
             return replace(result, reason=f'no trajectory found in {result.nodes} relaxations')
         if not np.isfinite(result.x).all():  # its rollout and projection would raise errors
-            return replace(NOTHING, reason='the trajectory found is not finite')
+            return Found(reason='the trajectory found is not finite')
         if result.x is guess and result.gap > self._tolerance:
             return replace(result, reason=GOES_ON)
         return result
