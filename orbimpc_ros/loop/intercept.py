@@ -100,8 +100,8 @@ def catching(problem: Problem, radius: float, end: float, narrow: bool = False) 
     change = LARGEST_CHANGE / length**2
     if problem.rotation_order == 2:
         change *= 4.0 / length**2  # a change, and its reversal
-    weights = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0)
-    cone = problem.approach.cone * (NARROW if narrow else 1.0)
+    weights, aimed = Weights(0.0, EFFORT * radius**2 / (steps * change), 0.0, 1.0), problem.approach
+    aimed = replace(aimed, cone=NARROW * aimed.cone) if narrow else aimed
     return replace(
         problem,
         horizon=steps,
@@ -109,7 +109,7 @@ def catching(problem: Problem, radius: float, end: float, narrow: bool = False) 
         discretisation=how,
         weights=weights,
         arrival_weight=0.0,
-        approach=replace(problem.approach, cone=cone),
+        approach=aimed,
     )
 
 
