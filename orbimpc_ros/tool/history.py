@@ -149,6 +149,8 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Histor
     times, attitudes = measured['time'], measured['attitude']
     plans = [(seconds(m), [point(stamped.pose.position) for stamped in m.poses])
              for m in logged['plan'] if m.poses]  # fmt: skip
+    answers = {seconds(m): fields(m)  # of repeated ones the last
+               for m in logged['tick'] if m.status and seconds(m) <= times[-1]}  # fmt: skip
     return History(
         times=times,
         positions=measured['position'],
@@ -157,9 +159,7 @@ def of_bag(path: Path, namespace: str = '', params: str | None = None) -> Histor
         rates=measured['body_rate'],
         ropes=_seen(times, sighted, planner_settings(values).goal_timeout),
         plans=tuple((time, np.array(points)) for time, points in plans),
-        ticks=tuple(  # of repeated answers the last one
-            {seconds(m): fields(m) for m in logged['tick'] if seconds(m) <= times[-1]}.items()
-        ),
+        ticks=tuple(answers.items()),
         captured=any(m.data for m in logged['captured']),
         values=values,
         truth=next((fields(m) for m in reversed(logged['truth']) if m.status), {}),
