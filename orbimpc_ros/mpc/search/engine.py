@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from threading import get_ident
 
 import numpy as np
@@ -20,12 +21,12 @@ from orbimpc_ros.mpc.model.dynamics import Condensed, length_weights, regular
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.problem import LEEWAY
 from orbimpc_ros.mpc.problem.reach import entry_speed
-from orbimpc_ros.mpc.proof.tree import NOTHING, NOWHERE, ROW, ProofTree
+from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, NOTHING, NOWHERE, ROW, ProofTree
 from orbimpc_ros.mpc.proof.verify import SLICE as VERIFIED
 from orbimpc_ros.mpc.search.best_first import EMPTY, LEAST, MADE, NODES, PAUSED, VALUE
 from orbimpc_ros.mpc.search.relax import StageProblem, room_for
 from orbimpc_ros.mpc.search.ring import Ring
-from orbimpc_ros.mpc.search.tree import Tree, search, tree_for
+from orbimpc_ros.mpc.search.tree import KEY, Tree, search, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Request
 
 LONGEST = 120  # horizon up to which a search proves more in a tick than sparse solves do
@@ -78,44 +79,66 @@ class TreeSearch:
         return StageProblem(*cost, self._floor, self._arrival, left, self._stiff)
 
     def _run(self, request: Request, posed: StageProblem, tree: Tree, *inputs: object) -> Found:
-        """Search until it ends or the time is up; return the result with its proof.
+        """Search from the root; see :meth:`resumed`."""
+        tree.counts[:] = 0  # it begins
+        self._last = posed, tree, inputs
+        return self.resumed(request)
 
-        There is no proof if the time is up, and too short to verify it.
+    def resumed(self, request: Request, *, proving: bool = True) -> Found:
+        """Go on with the last search until it ends, or the rounds or the time are up.
+
+        If the time is up, the proof is that of the first nodes, as many as can be verified soon.
+
+        Args:
+            request: the one that the search began with, but for its rounds.
+            proving: whether the result needs its proof.
 
         Raises:
             Infeasible: the root is empty.
         """
-        left = request.rounds
-        tree.counts[:] = 0  # it begins
+        left, (posed, tree, inputs) = request.rounds, self._last
         while (status := self._search(posed, self._tolerance, tree, *inputs, SLICE)) == PAUSED:
             left -= 1.0
             if request.late or left <= 0.0 or request.enough.met(self._result(tree, posed)):
                 break
         if status == EMPTY:
             raise Infeasible('no turn meets the cone of approach')
-        lost = status == PAUSED and tree.counts[MADE] > VERIFIED // len(posed.q) and request.late
-        return self._result(tree, posed, None if lost else self._proof(tree))
+        self.has_ended = status != PAUSED
+        found = self._result(tree, posed)
+        if not proving:
+            return found
+        most = VERIFIED // len(posed.q) if request.late else len(tree.at)
+        return self._proved(found, tree, posed, most)
 
-    def _result(self, tree: Tree, posed: StageProblem, proof: ProofTree | None = None) -> Found:
+    def _result(self, tree: Tree, posed: StageProblem) -> Found:
         """Return the incumbent, with the bound proved so far."""
         value, bound = float(tree.numbers[VALUE]), float(tree.numbers[LEAST])
         best = tree.best.copy() if value < np.inf else None
         values = value + posed.constant, bound - self._excess + posed.constant
-        return Found(best, *values, int(tree.counts[NODES]), proof=proof)
+        return Found(best, *values, int(tree.counts[NODES]))
 
-    def _proof(self, tree: Tree) -> ProofTree:
-        """Return the tree as the proof of its bound."""
+    def _proved(self, found: Found, tree: Tree, posed: StageProblem, most: int) -> Found:
+        """Return a result with its proof, or with a weaker one of the first nodes, if too many."""
         made = int(tree.counts[MADE])
-        nodes = tree.nodes[:made].copy()
+        if made > most:
+            splits = tree.nodes[:most]
+            ends = splits[:, CHILD] + splits[:, CHILDREN]
+            made = int(ends[ends <= most].max(initial=1))
+        nodes, at = tree.nodes[:made].copy(), tree.at[:made].copy()
+        unsplit = nodes[:, CHILD] >= made
+        nodes[unsplit], at[unsplit] = 0, 0.0
         leaves = np.flatnonzero(nodes[:, ROW] == 0)  # -1 for splits and for empty parts
         nodes[leaves, ROW] = np.arange(len(leaves))
+        if made < tree.counts[MADE]:
+            least = float(tree.progress[leaves, KEY].min()) - self._excess + posed.constant
+            found = replace(found, lower_bound=min(found.lower_bound, least))
         kept: Array = np.zeros((len(leaves), len(tree.best)))
         if tree.kept.size:
             spare = 2.0 * self._excess / len(tree.best)  # the verifier's cost is less convex
             kept = tree.kept[leaves, 0] - spare
-        return ProofTree(
+        proof = ProofTree(
             nodes,
-            tree.at[:made].copy(),
+            at,
             tree.point[leaves],
             kept,
             np.zeros(len(leaves), np.int64),
@@ -123,6 +146,7 @@ class TreeSearch:
             NOWHERE,
             tree.pull[leaves] if self._stiff else NOTHING,
         )
+        return replace(found, proof=proof)
 
 
 class PlanarSearch(TreeSearch):

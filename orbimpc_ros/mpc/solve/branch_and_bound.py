@@ -25,7 +25,6 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
-from orbimpc_ros.mpc.proof.verify import SLICE as VERIFIED
 from orbimpc_ros.mpc.solve.dives import Dives
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
@@ -84,18 +83,20 @@ class BranchAndBound:
         if path.x is not None and self._in_plane and request.hurried:
             return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
-        return self._latest.run(path, among=traffic_of(self.problem, request.state) is not None)
+        among = traffic_of(self.problem, request.state) is not None
+        plane = self._plane if self.problem.dimension == 2 else None
+        return self._latest.run(path, plane, among=among)
 
     def _path(self, plane: PlanarWay, request: Request) -> Found:
         """Return the best path in a plane without bodies; if it meets one, the first found."""
         if self._in_plane:
             return replace(plane.solve(request), reason=ALONE)
         path = plane.solve(request._replace(rounds=FIRST))
-        done = path.proof is None or path.gap <= self.tolerance
+        done = self.problem.dimension == 3 or plane.has_ended
         if done or not any(sound(self.problem, request, [path.x])):
             return path
         rounds = LONGEST if request.hurried else np.inf
-        longer = plane.solve(request._replace(guess=path.x, rounds=rounds))
+        longer = plane.resumed(request._replace(rounds=rounds), proving=False)
         clear = any(sound(self.problem, request, [longer.x]))
         return longer if clear else replace(longer, x=path.x)
 
@@ -133,11 +134,12 @@ class Search:
         self._nodes = [Node(0, -np.inf, regions.root())]
         self._open = [self._nodes[0]]
 
-    def run(self, path: Found, *, among: bool) -> Found:
+    def run(self, path: Found, plane: PlanarWay | None, *, among: bool) -> Found:
         """Run the search; the first incumbents are beside paths.
 
         Args:
             path: that ignores bodies, or none; its bound holds among them too.
+            plane: the search for that path, which goes on between nodes.
             among: whether paths are followed from the root: the best trajectory, and this one.
         """
         regions, best, root, stood_in = self._regions, self._dives, self._nodes[0], False
@@ -158,15 +160,25 @@ class Search:
                     if x is not None:
                         best.dive(regions.headings(x), self._rows(root))
                 among = False
+            if plane is not None and not plane.has_ended:
+                path = self._onward(path, plane)
         if best.x is None:
             best.recall()
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if max(lower, root.bound) == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
-        tree = path.proof if path.lower_bound >= lower else None
-        if tree is None or (self._request.late and tree.shor.size > VERIFIED):
-            return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
-        return Found(best.x, best.cost, path.lower_bound, best.solved, proof=tree)
+        if plane is not None and path.lower_bound >= lower:
+            path = plane.resumed(self._request._replace(rounds=0.0), proving=True)
+        if path.lower_bound >= lower:
+            return Found(best.x, best.cost, path.lower_bound, best.solved, proof=path.proof)
+        return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
+
+    def _onward(self, path: Found, plane: PlanarWay) -> Found:
+        """Return the path after another round of its search; offer it if it is cheaper."""
+        longer = plane.resumed(self._request._replace(rounds=0.0), proving=False)
+        if longer.x is not None and longer.cost < path.cost:
+            self._dives.offer(longer.x)
+        return longer
 
     def _proof(self, lower: float) -> ProofTree | None:
         """Return the proof of a bound: the tree, or its root if that is as good."""

@@ -43,6 +43,15 @@ class PlanarWay:
         fits = problem.turns_are_angles and (plain or problem.dimension == 2)
         return fits and PlanarSearch.solves(_planar(problem))
 
+    @property
+    def has_ended(self) -> bool:
+        """Return True if the last search cannot prove more."""
+        return self._search.has_ended
+
+    def resumed(self, request: Request, *, proving: bool) -> Found:
+        """Go on in the plane; see :meth:`orbimpc_ros.mpc.search.engine.TreeSearch.resumed`."""
+        return self._search.resumed(request, proving=proving)
+
     def solve(self, request: Request) -> Found:
         """Return the best path, in space as one of many, without a bound; none on overflow."""
         if self._problem.dimension == 2:
