@@ -130,6 +130,7 @@ OPEN: dict[str, dict[str, Any]] = {
         'max_rate': 0.9,
         'approach': TOWARDS,
     },
+    'long': {'floor': Floor('circle', fraction=0.8), 'max_rate': 0.5, 'horizon': 20},
     'wing': {**WING, 'approach': Approach(0.5, (1.0, 0.5))},
 }
 

@@ -107,8 +107,7 @@ class TreeSearch:
         found = self._result(tree, posed)
         if not proving:
             return found
-        most = VERIFIED // len(posed.q) if request.late else len(tree.at)
-        return self._proved(found, tree, posed, most)
+        return self._proved(found, tree, posed, VERIFIED // len(posed.q) if request.late else None)
 
     def _result(self, tree: Tree, posed: StageProblem) -> Found:
         """Return the incumbent, with the bound proved so far."""
@@ -117,13 +116,13 @@ class TreeSearch:
         values = value + posed.constant, bound - self._excess + posed.constant
         return Found(best, *values, int(tree.counts[NODES]))
 
-    def _proved(self, found: Found, tree: Tree, posed: StageProblem, most: int) -> Found:
-        """Return a result with its proof, or with a weaker one of the first nodes, if too many."""
+    def _proved(self, found: Found, tree: Tree, posed: StageProblem, most: int | None) -> Found:
+        """Return a result with its proof, or that of the first nodes, with ``most`` leaves."""
         made = int(tree.counts[MADE])
-        if made > most:
-            splits = tree.nodes[:most]
-            ends = splits[:, CHILD] + splits[:, CHILDREN]
-            made = int(ends[ends <= most].max(initial=1))
+        if most is not None:
+            first = tree.nodes[: min(made, 2 * most)]  # each split has two children at least
+            ends = np.sort((first[:, CHILD] + first[:, CHILDREN])[first[:, CHILD] > 0])
+            made = int(ends[ends - np.arange(1, len(ends) + 1) <= most].max(initial=1))
         nodes, at = tree.nodes[:made].copy(), tree.at[:made].copy()
         unsplit = nodes[:, CHILD] >= made
         nodes[unsplit], at[unsplit] = 0, 0.0
