@@ -5,16 +5,16 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_212,
-    'orbimpc_ros/mpc': 14_640,
+    'orbimpc_ros': 28_256,
+    'orbimpc_ros/mpc': 14_684,
     'orbimpc_ros/loop': 3_144,
     'orbimpc_ros/ros': 4_043,
     'orbimpc_ros/sim': 2_200,
     'orbimpc_ros/tool': 4_058,
     'benchmarks': 3_352,
-    'test': 17_998,
+    'test': 18_000,
 }
-WORDS = {'docs': 23_575, 'README.md': 900}
+WORDS = {'docs': 23_600, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)
