@@ -25,6 +25,7 @@ from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
 from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
+from orbimpc_ros.mpc.search.engine import TreeSearch
 from orbimpc_ros.mpc.solve.dives import Dives
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
 from orbimpc_ros.mpc.solve.planar_way import PlanarWay
@@ -84,19 +85,19 @@ class BranchAndBound:
             return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
         among = traffic_of(self.problem, request.state) is not None
-        plane = self._plane if self.problem.dimension == 2 else None
-        return self._latest.run(path, plane, among=among)
+        flat = self.problem.dimension == 2 and self._plane
+        return self._latest.run(path, flat.search if flat else None, among=among)
 
     def _path(self, plane: PlanarWay, request: Request) -> Found:
         """Return the best path in a plane without bodies; if it meets one, the first found."""
         if self._in_plane:
             return replace(plane.solve(request), reason=ALONE)
         path = plane.solve(request._replace(rounds=FIRST))
-        done = self.problem.dimension == 3 or plane.has_ended
+        done = self.problem.dimension == 3 or plane.search.has_ended
         if done or not any(sound(self.problem, request, [path.x])):
             return path
         rounds = LONGEST if request.hurried else np.inf
-        longer = plane.resumed(request._replace(rounds=rounds), proving=False)
+        longer = plane.search.resumed(request._replace(rounds=rounds), proving=False)
         clear = any(sound(self.problem, request, [longer.x]))
         return longer if clear else replace(longer, x=path.x)
 
@@ -134,7 +135,7 @@ class Search:
         self._nodes = [Node(0, -np.inf, regions.root())]
         self._open = [self._nodes[0]]
 
-    def run(self, path: Found, plane: PlanarWay | None, *, among: bool) -> Found:
+    def run(self, path: Found, plane: TreeSearch | None, *, among: bool) -> Found:
         """Run the search; the first incumbents are beside paths.
 
         Args:
@@ -173,7 +174,7 @@ class Search:
             return Found(best.x, best.cost, path.lower_bound, best.solved, proof=path.proof)
         return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
 
-    def _onward(self, path: Found, plane: PlanarWay) -> Found:
+    def _onward(self, path: Found, plane: TreeSearch) -> Found:
         """Return the path after another round of its search; offer it if it is cheaper."""
         longer = plane.resumed(self._request._replace(rounds=0.0), proving=False)
         if longer.x is not None and longer.cost < path.cost:

@@ -30,11 +30,14 @@ class PlanarWay:
     Args:
         problem: what to solve; its obstacles are ignored.
         tolerance: relative gap at which the planar search stops.
+
+    Attributes:
+        search: of planar paths.
     """
 
     def __init__(self, problem: Problem, tolerance: float) -> None:
         self._problem, self._weights = problem, np.sqrt(motion_weights(problem)[:-1])
-        self._search = PlanarSearch(_planar(problem), tolerance)
+        self.search = PlanarSearch(_planar(problem), tolerance)
 
     @staticmethod
     def leads(problem: Problem) -> bool:
@@ -43,19 +46,10 @@ class PlanarWay:
         fits = problem.turns_are_angles and (plain or problem.dimension == 2)
         return fits and PlanarSearch.solves(_planar(problem))
 
-    @property
-    def has_ended(self) -> bool:
-        """Return True if the last search cannot prove more."""
-        return self._search.has_ended
-
-    def resumed(self, request: Request, *, proving: bool) -> Found:
-        """Go on in the plane; see :meth:`orbimpc_ros.mpc.search.engine.TreeSearch.resumed`."""
-        return self._search.resumed(request, proving=proving)
-
     def solve(self, request: Request) -> Found:
         """Return the best path, in space as one of many, without a bound; none on overflow."""
         if self._problem.dimension == 2:
-            return self._search.solve(request)
+            return self.search.solve(request)
         state, attitude = request.state, request.state.attitude
         aside = (request.goals - decided(self._problem, state)[0][1:]) @ attitude[:, 1:]
         across = np.linalg.svd(self._weights[:, None] * aside)[2][0]
@@ -69,7 +63,7 @@ class PlanarWay:
         )
         guess = None if request.guess is None else request.guess[:, :3] @ plane
         goals = (request.goals - state.position) @ plane
-        found = self._search.solve(request._replace(state=flat, goals=goals, guess=guess))
+        found = self.search.solve(request._replace(state=flat, goals=goals, guess=guess))
         x = None if found.x is None else coordinates(carried(attitude, found.x @ plane.T))
         return replace(found, x=x, lower_bound=-np.inf, proof=None)
 
