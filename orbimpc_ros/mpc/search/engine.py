@@ -105,9 +105,7 @@ class TreeSearch:
             raise Infeasible('no turn meets the cone of approach')
         self.has_ended = status != PAUSED
         found = self._result(tree, posed)
-        if not proving:
-            return found
-        return self._proved(found, tree, posed, VERIFIED // len(posed.q) if request.late else None)
+        return self._proved(request, found, tree, posed) if proving else found
 
     def _result(self, tree: Tree, posed: StageProblem) -> Found:
         """Return the incumbent, with the bound proved so far."""
@@ -116,10 +114,10 @@ class TreeSearch:
         values = value + posed.constant, bound - self._excess + posed.constant
         return Found(best, *values, int(tree.counts[NODES]))
 
-    def _proved(self, found: Found, tree: Tree, posed: StageProblem, most: int | None) -> Found:
-        """Return a result with its proof, or that of the first nodes, with ``most`` leaves."""
-        made = int(tree.counts[MADE])
-        if most is not None:
+    def _proved(self, request: Request, found: Found, tree: Tree, posed: StageProblem) -> Found:
+        """Return a result with its proof; if it is late, maybe a weaker one of the first nodes."""
+        made, most = int(tree.counts[MADE]), VERIFIED // len(posed.q)
+        if made > most and request.late:
             first = tree.nodes[: min(made, 2 * most)]  # each split has two children at least
             ends = np.sort((first[:, CHILD] + first[:, CHILDREN])[first[:, CHILD] > 0])
             made = int(ends[ends - np.arange(1, len(ends) + 1) <= most].max(initial=1))
