@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_251,
-    'orbimpc_ros/mpc': 14_679,
+    'orbimpc_ros': 28_249,
+    'orbimpc_ros/mpc': 14_677,
     'orbimpc_ros/loop': 3_144,
     'orbimpc_ros/ros': 4_043,
     'orbimpc_ros/sim': 2_200,
