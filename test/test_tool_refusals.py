@@ -21,7 +21,7 @@ REFUSED = {
     'solve a b': 'unrecognized arguments: b',
     **{f'solve a --time-limit {each}': 'a number in (0, inf)' for each in ('0', '-1', 'nan')},
     'solve a --certificate /dev/null/b': '--certificate /dev/null',
-    **{f'solve a --certificate {each}': f'{each}; allowed: a file other than' for each in '.a'},
+    **{f'solve a --certificate {each}': f'{each}; allowed: a file other' for each in ('.', './a')},
     'demo --set flor.shape=none': 'floor.shape',
     'demo --set step=fast': 'step',
     'demo --set step': 'name=value',

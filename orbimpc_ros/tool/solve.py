@@ -30,7 +30,7 @@ def run(
     number(time_limit, '--time-limit', 0.0, above=True)
     if certificate:
         files.folder_at(Path(certificate).parent, '--certificate')
-        if Path(certificate).is_dir() or certificate == file:
+        if Path(certificate).is_dir() or Path(certificate).resolve() == Path(file).resolve():
             raise BadInput('--certificate', certificate, 'a file other than the problem')
     case = case_of(files.read(file))
     solver = Solver(case.problem, projection=projection, patient=True)
