@@ -87,8 +87,6 @@ class TreeSearch:
     def resumed(self, request: Request, *, proving: bool = True) -> Found:
         """Go on with the last search until it ends, or the rounds or the time are up.
 
-        If the time is up, the proof is that of the first nodes, as many as can be verified soon.
-
         Args:
             request: the one that the search began with, but for its rounds.
             proving: whether the result needs its proof.
@@ -115,25 +113,35 @@ class TreeSearch:
         return Found(best, *values, int(tree.counts[NODES]))
 
     def _proved(self, request: Request, found: Found, tree: Tree, posed: StageProblem) -> Found:
-        """Return a result with its proof; if it is late, maybe a weaker one of the first nodes."""
+        """Return a result with its proof; with a deadline also one that is verified in its time.
+
+        After the deadline only the latter, which may prove a weaker bound.
+        """
         made, most = int(tree.counts[MADE]), VERIFIED // len(posed.q)
-        if made > most and request.late:
-            first = tree.nodes[: min(made, 2 * most)]  # each split has two children at least
-            ends = np.sort((first[:, CHILD] + first[:, CHILDREN])[first[:, CHILD] > 0])
-            made = int(ends[ends - np.arange(1, len(ends) + 1) <= most].max(initial=1))
+        if made <= most or request.out_of_time is None:
+            return replace(found, proof=self._proof(tree, made))
+        first = tree.nodes[: min(made, 2 * most)]  # each split has two children at least
+        ends = np.sort((first[:, CHILD] + first[:, CHILDREN])[first[:, CHILD] > 0])
+        few = int(ends[ends - np.arange(1, len(ends) + 1) <= most].max(initial=1))
+        brief = self._proof(tree, few)
+        if not request.late:
+            return replace(found, proof=self._proof(tree, made), brief=brief)
+        leaves = brief.nodes[:, ROW] >= 0
+        least = float(tree.progress[:few, KEY][leaves].min()) - self._excess + posed.constant
+        return replace(found, lower_bound=min(found.lower_bound, least), proof=brief)
+
+    def _proof(self, tree: Tree, made: int) -> ProofTree:
+        """Return the first nodes of the tree as a proof."""
         nodes, at = tree.nodes[:made].copy(), tree.at[:made].copy()
         unsplit = nodes[:, CHILD] >= made
         nodes[unsplit], at[unsplit] = 0, 0.0
         leaves = np.flatnonzero(nodes[:, ROW] == 0)  # -1 for splits and for empty parts
         nodes[leaves, ROW] = np.arange(len(leaves))
-        if made < tree.counts[MADE]:
-            least = float(tree.progress[leaves, KEY].min()) - self._excess + posed.constant
-            found = replace(found, lower_bound=min(found.lower_bound, least))
         kept: Array = np.zeros((len(leaves), len(tree.best)))
         if tree.kept.size:
             spare = 2.0 * self._excess / len(tree.best)  # the verifier's cost is less convex
             kept = tree.kept[leaves, 0] - spare
-        proof = ProofTree(
+        return ProofTree(
             nodes,
             at,
             tree.point[leaves],
@@ -143,7 +151,6 @@ class TreeSearch:
             NOWHERE,
             tree.pull[leaves] if self._stiff else NOTHING,
         )
-        return replace(found, proof=proof)
 
 
 class PlanarSearch(TreeSearch):

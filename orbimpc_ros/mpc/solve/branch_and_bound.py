@@ -171,7 +171,7 @@ class Search:
         if plane is not None and path.lower_bound >= lower:
             path = plane.resumed(self._request._replace(rounds=0.0), proving=True)
         if path.lower_bound >= lower:
-            return Found(best.x, best.cost, path.lower_bound, best.solved, proof=path.proof)
+            return replace(path, x=best.x, cost=best.cost, nodes=best.solved)
         return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
 
     def _onward(self, path: Found, plane: TreeSearch) -> Found:

@@ -85,6 +85,7 @@ class Found:
         nodes: number of relaxations or local problems solved.
         reason: why no trajectory was found, or why it is not proved optimal.
         proof: tree that proves the bound, in the units of the request; None without a proof.
+        brief: another, for when there is no time to verify that one; None without.
     """
 
     x: Array | None = None
@@ -93,6 +94,7 @@ class Found:
     nodes: int = 0
     reason: str = ''
     proof: ProofTree | None = None
+    brief: ProofTree | None = None
 
     @property
     def gap(self) -> float:

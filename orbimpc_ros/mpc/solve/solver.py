@@ -299,14 +299,16 @@ class Solver:
     def _proof(self, request: Request, result: Found) -> Proof:
         """Return the proof of a result in natural units; no cost is negative, so no bound is.
 
-        The bound is the verifier's for the method's tree; without a tree, or if the verifier runs
-        out of time, the method's own.
+        The bound is the verifier's for the first of the method's trees that there is time for;
+        without any, the method's own.
         """
-        cost, claimed, tree = self._units.cost, self._units.cost * result.lower_bound, result.proof
-        bound, tree = (-np.inf, None) if tree is None else self._verified(request, tree)
+        cost, bound, tree = self._units.cost, -np.inf, None
+        for each in (result.proof, result.brief):
+            if each is not None and bound == -np.inf:
+                bound, tree = self._verified(request, each)
         checked = -np.inf < bound < np.inf
         if not checked:
-            bound, tree = claimed, None
+            bound, tree = cost * result.lower_bound, None
         lower = max(0.0, float(bound) * (1.0 - OUTWARD) - ROUNDED * cost) if bound < np.inf else 0.0
         checked = checked or lower == 0.0
         return Proof(lower, result.nodes, self._tolerance, cost, result.reason, checked, tree)
