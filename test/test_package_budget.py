@@ -12,7 +12,7 @@ LINES = {
     'orbimpc_ros/sim': 2_200,
     'orbimpc_ros/tool': 4_058,
     'benchmarks': 3_352,
-    'test': 17_999,
+    'test': 18_000,
 }
 WORDS = {'docs': 23_600, 'README.md': 900}
 
