@@ -327,7 +327,7 @@ def test_holding_the_rotation_stands_in_for_a_method_that_fails(monkeypatch):
 
     def beaten(found, share):
         much = share * found.cost
-        return replace(found, lower_bound=much, cost=much, proof=None)
+        return replace(found, lower_bound=much, cost=much, proofs=())
 
     solve = solver._method.solve
     broken = {

@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_260,
-    'orbimpc_ros/mpc': 14_688,
+    'orbimpc_ros': 28_264,
+    'orbimpc_ros/mpc': 14_692,
     'orbimpc_ros/loop': 3_144,
     'orbimpc_ros/ros': 4_043,
     'orbimpc_ros/sim': 2_200,

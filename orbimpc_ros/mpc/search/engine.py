@@ -45,6 +45,9 @@ class TreeSearch:
         problem: to solve, in natural units.
         tolerance: relative gap at which a plan is good enough to stop.
         search: begins or continues a search, as :func:`~orbimpc_ros.mpc.search.tree.search` does.
+
+    Attributes:
+        has_ended: whether the last search cannot prove more.
     """
 
     def __init__(self, problem: Problem, tolerance: float, search: Callable) -> None:
@@ -79,17 +82,16 @@ class TreeSearch:
         return StageProblem(*cost, self._floor, self._arrival, left, self._stiff)
 
     def _run(self, request: Request, posed: StageProblem, tree: Tree, *inputs: object) -> Found:
-        """Search from the root; see :meth:`resumed`."""
+        """Search from the root; return the result with its proofs; see :meth:`resumed`."""
         tree.counts[:] = 0  # it begins
         self._last = posed, tree, inputs
-        return self.resumed(request)
+        return self.proved(request, self.resumed(request))
 
-    def resumed(self, request: Request, *, proving: bool = True) -> Found:
-        """Go on with the last search until it ends, or the rounds or the time are up.
+    def resumed(self, request: Request) -> Found:
+        """Go on with the last search until it ends, or the rounds or the time are up; no proof yet.
 
         Args:
             request: the one that the search began with, but for its rounds.
-            proving: whether the result needs its proof.
 
         Raises:
             Infeasible: the root is empty.
@@ -102,8 +104,7 @@ class TreeSearch:
         if status == EMPTY:
             raise Infeasible('no turn meets the cone of approach')
         self.has_ended = status != PAUSED
-        found = self._result(tree, posed)
-        return self._proved(request, found, tree, posed) if proving else found
+        return self._result(tree, posed)
 
     def _result(self, tree: Tree, posed: StageProblem) -> Found:
         """Return the incumbent, with the bound proved so far."""
@@ -112,23 +113,25 @@ class TreeSearch:
         values = value + posed.constant, bound - self._excess + posed.constant
         return Found(best, *values, int(tree.counts[NODES]))
 
-    def _proved(self, request: Request, found: Found, tree: Tree, posed: StageProblem) -> Found:
-        """Return a result with its proof; with a deadline also one that is verified in its time.
+    def proved(self, request: Request, found: Found) -> Found:
+        """Return a result of the last search with its proof.
 
-        After the deadline only the latter, which may prove a weaker bound.
+        With a deadline also with that of the first nodes, which is verified in one slice; after it
+        only with that, which may prove a weaker bound.
         """
+        posed, tree, _ = self._last
         made, most = int(tree.counts[MADE]), VERIFIED // len(posed.q)
         if made <= most or request.out_of_time is None:
-            return replace(found, proof=self._proof(tree, made))
+            return replace(found, proofs=(self._proof(tree, made),))
         first = tree.nodes[: min(made, 2 * most)]  # each split has two children at least
         ends = np.sort((first[:, CHILD] + first[:, CHILDREN])[first[:, CHILD] > 0])
         few = int(ends[ends - np.arange(1, len(ends) + 1) <= most].max(initial=1))
         brief = self._proof(tree, few)
         if not request.late:
-            return replace(found, proof=self._proof(tree, made), brief=brief)
+            return replace(found, proofs=(self._proof(tree, made), brief))
         leaves = brief.nodes[:, ROW] >= 0
         least = float(tree.progress[:few, KEY][leaves].min()) - self._excess + posed.constant
-        return replace(found, lower_bound=min(found.lower_bound, least), proof=brief)
+        return replace(found, lower_bound=min(found.lower_bound, least), proofs=(brief,))
 
     def _proof(self, tree: Tree, made: int) -> ProofTree:
         """Return the first nodes of the tree as a proof."""

@@ -280,5 +280,5 @@ class RoundFloor(TreeSearch):
         other = self._general.solve(request._replace(guess=result.x, rounds=BRANCHES))
         best = other if other.cost < result.cost else result
         bound = other if other.lower_bound > result.lower_bound else result
-        combined = replace(best, lower_bound=bound.lower_bound, proof=bound.proof)
+        combined = replace(best, lower_bound=bound.lower_bound, proofs=bound.proofs)
         return replace(combined, nodes=result.nodes + other.nodes)

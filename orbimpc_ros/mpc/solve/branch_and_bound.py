@@ -63,6 +63,8 @@ class BranchAndBound:
         among = among or len(problem.boxes) < len(problem.obstacles)
         rounded = problem.dimension == 3 and problem.floor.radius > 0.0
         self._plane = PlanarWay(problem, 0.5 * tolerance) if PlanarWay.leads(problem) else None
+        # In two dimensions the bound of a path without bodies holds among them, too.
+        self._bounding = self._plane.search if self._plane and problem.dimension == 2 else None
         slow = problem.has_cones or among or rounded or self._plane is not None
         self.tolerance = (HALFWAY if slow else 1.0) * tolerance
         # A single relaxation needs no warm start.
@@ -85,19 +87,18 @@ class BranchAndBound:
             return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
         among = traffic_of(self.problem, request.state) is not None
-        flat = self.problem.dimension == 2 and self._plane
-        return self._latest.run(path, flat.search if flat else None, among=among)
+        return self._latest.run(path, self._bounding, among=among)
 
     def _path(self, plane: PlanarWay, request: Request) -> Found:
         """Return the best path in a plane without bodies; if it meets one, the first found."""
         if self._in_plane:
             return replace(plane.solve(request), reason=ALONE)
         path = plane.solve(request._replace(rounds=FIRST))
-        done = self.problem.dimension == 3 or plane.search.has_ended
-        if done or not any(sound(self.problem, request, [path.x])):
+        search = self._bounding
+        if search is None or search.has_ended or not any(sound(self.problem, request, [path.x])):
             return path
         rounds = LONGEST if request.hurried else np.inf
-        longer = plane.search.resumed(request._replace(rounds=rounds), proving=False)
+        longer = search.resumed(request._replace(rounds=rounds))
         clear = any(sound(self.problem, request, [longer.x]))
         return longer if clear else replace(longer, x=path.x)
 
@@ -168,24 +169,25 @@ class Search:
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if max(lower, root.bound) == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
-        if plane is not None and path.lower_bound >= lower:
-            path = plane.resumed(self._request._replace(rounds=0.0), proving=True)
-        if path.lower_bound >= lower:
+        if plane is not None and path.lower_bound >= lower and not path.proofs:
+            path = plane.proved(self._request, path)
+        if path.proofs and path.lower_bound >= lower:
             return replace(path, x=best.x, cost=best.cost, nodes=best.solved)
-        return Found(best.x, best.cost, lower, best.solved, proof=self._proof(lower))
+        return Found(best.x, best.cost, lower, best.solved, proofs=self._proofs(lower))
 
     def _onward(self, path: Found, plane: TreeSearch) -> Found:
         """Return the path after another round of its search; offer it if it is cheaper."""
-        longer = plane.resumed(self._request._replace(rounds=0.0), proving=False)
+        longer = plane.resumed(self._request._replace(rounds=0.0))
         if longer.x is not None and longer.cost < path.cost:
             self._dives.offer(longer.x)
         return longer
 
-    def _proof(self, lower: float) -> ProofTree | None:
-        """Return the proof of a bound: the tree, or its root if that is as good."""
+    def _proofs(self, lower: float) -> tuple[ProofTree, ...]:
+        """Return the proof of a bound, if any: the tree, or its root if that is as good."""
         enough = self._nodes[0].bound >= lower - self._tolerance * abs(lower)
-        tree = self._leaves.tree(self._nodes, 1) if enough else None
-        return tree or self._leaves.tree(self._nodes)
+        root = self._leaves.tree(self._nodes, 1) if enough else None
+        tree = root or self._leaves.tree(self._nodes)
+        return (tree,) if tree else ()
 
     @property
     def _limit(self) -> float:

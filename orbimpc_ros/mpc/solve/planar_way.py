@@ -65,7 +65,7 @@ class PlanarWay:
         goals = (request.goals - state.position) @ plane
         found = self.search.solve(request._replace(state=flat, goals=goals, guess=guess))
         x = None if found.x is None else coordinates(carried(attitude, found.x @ plane.T))
-        return replace(found, x=x, lower_bound=-np.inf, proof=None)
+        return replace(found, x=x, lower_bound=-np.inf, proofs=())
 
 
 def _planar(problem: Problem) -> Problem:

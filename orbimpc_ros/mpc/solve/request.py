@@ -84,8 +84,8 @@ class Found:
         lower_bound: on the cost of every trajectory.
         nodes: number of relaxations or local problems solved.
         reason: why no trajectory was found, or why it is not proved optimal.
-        proof: tree that proves the bound, in the units of the request; None without a proof.
-        brief: another, for when there is no time to verify that one; None without.
+        proofs: trees that prove bounds, in the units of the request; the first one that there is
+            time to verify counts.
     """
 
     x: Array | None = None
@@ -93,8 +93,7 @@ class Found:
     lower_bound: float = -math.inf
     nodes: int = 0
     reason: str = ''
-    proof: ProofTree | None = None
-    brief: ProofTree | None = None
+    proofs: tuple[ProofTree, ...] = ()
 
     @property
     def gap(self) -> float:

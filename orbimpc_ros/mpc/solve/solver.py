@@ -303,8 +303,8 @@ class Solver:
         without any, the method's own.
         """
         cost, bound, tree = self._units.cost, -np.inf, None
-        for each in (result.proof, result.brief):
-            if each is not None and bound == -np.inf:
+        for each in result.proofs:
+            if bound == -np.inf:
                 bound, tree = self._verified(request, each)
         checked = -np.inf < bound < np.inf
         if not checked:
