@@ -224,7 +224,7 @@ class Worker(Managed):
     def activate(self):
         self._do('activate')
 
-    def deactivate(self):
+    def safe(self, _reason):
         self._do('deactivate')
 
 

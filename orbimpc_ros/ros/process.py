@@ -60,15 +60,16 @@ FAILURES_IN_A_ROW = 5  # failures of one callback, after which the node gives up
 class Managed(LifecycleNodeMixin, Node):
     """A node with parameters of a table, a life cycle and guarded callbacks.
 
-    A subclass has the table of its parameters, and implements ``configure``, ``activate``,
-    ``deactivate`` and ``safe``. Endpoints created while it is configured are destroyed when that
-    state ends, for whatever reason.
+    A subclass has the table of its parameters, and implements ``configure``, ``activate`` and
+    ``safe``. Endpoints created while it is configured are destroyed when that state ends, for
+    whatever reason.
 
     Attributes:
         kind: its name unless it is remapped.
         specs: the table of its parameters, which are checked and changed as a whole.
         forced: parameters that cannot be given.
         settings_of: makes settings of the values of all parameters, or raises BadInput.
+        INACTIVE: the reason of the last safe action before it is inactive.
         given: values given at the start, by parameter.
         settings: made of the present values of all parameters.
         exit_code: once not None, the process ends with it.
@@ -85,6 +86,7 @@ class Managed(LifecycleNodeMixin, Node):
     specs: ClassVar[Sequence[ParameterSpec]]
     forced: ClassVar[Sequence[Parameter]] = ()
     settings_of: ClassVar[staticmethod[[Values], Any]]
+    INACTIVE: ClassVar[Reason] = Reason(Cause.DISABLED, 'inactive')
 
     def __init__(self) -> None:
         Node.__init__(self, self.kind, parameter_overrides=list(self.forced))
@@ -94,7 +96,6 @@ class Managed(LifecycleNodeMixin, Node):
         self.active = False
         self._in_a_row: Counter[str] = Counter()
         self.configured = False
-        self._lasting: dict[Any, str] = {}  # endpoints while unconfigured, and kinds
         self._error: BaseException | None = None  # of the last transition
         LifecycleNodeMixin.__init__(self)
         self._change: Callable[[Any, Any], Any] = self._service_change_state.callback
@@ -110,6 +111,7 @@ class Managed(LifecycleNodeMixin, Node):
         self.declare_parameters('', rows, ignore_override=True)
         self.add_on_set_parameters_callback(self._on_set)
         self.add_post_set_parameters_callback(self._on_changed)
+        self._lasting = self._endpoints()  # also while it is unconfigured
 
     # --- for subclasses to implement
 
@@ -126,11 +128,8 @@ class Managed(LifecycleNodeMixin, Node):
     def activate(self) -> None:
         """Start from a fresh state."""
 
-    def deactivate(self) -> None:
-        """Perform the last safe action; the node is still active."""
-
     def safe(self, reason: Reason) -> None:
-        """Perform the safe action now; called on shutdown and after every failure."""
+        """Perform the safe action now: at shutdown, after a failure, before it is inactive."""
 
     # --- parameters
 
@@ -215,14 +214,13 @@ class Managed(LifecycleNodeMixin, Node):
             self.trigger_configure()
             if self._error is None:
                 self.trigger_activate()
-        except RuntimeError as error:  # rclpy failed to publish the transition
-            self._error = self._error or error
-        if self._error is not None:
-            raise self._error
+        finally:  # rclpy may also have failed to publish the transition
+            if self._error is not None:
+                raise self._error
 
     def on_configure(self, state: LifecycleState) -> Ended:
         """Configure the node, or clean up after a failure."""
-        self.configured, self._lasting = True, self._endpoints()
+        self.configured = True
         result = self._tried(self.configure)
         if result != Ended.SUCCESS:
             self.on_cleanup(state)
@@ -236,7 +234,8 @@ class Managed(LifecycleNodeMixin, Node):
 
     def on_deactivate(self, _state: LifecycleState) -> Ended:
         """Act safely, then stop all activity."""
-        result = self._tried(self.deactivate) if self.active else Ended.SUCCESS
+        last = functools.partial(self.safe, self.INACTIVE)
+        result = self._tried(last) if self.active else Ended.SUCCESS
         self.active = False
         return result
 
@@ -244,7 +243,7 @@ class Managed(LifecycleNodeMixin, Node):
         """Destroy all endpoints created since the node was configured."""
         self.flush()  # a publisher destroyed at once may take its safe command with it
         for each, kind in self._endpoints().items():
-            if self.configured and each not in self._lasting:
+            if each not in self._lasting:
                 getattr(self, f'destroy_{kind}')(each)
         self.configured = False
         return Ended.SUCCESS
@@ -398,9 +397,7 @@ def full_name(endpoint: Any) -> str:
 
 
 @contextmanager
-def attached(
-    name: str, executor: str = 'wait_set', **options: Any
-) -> Iterator[tuple[Node, Executor]]:
+def attached(name: str, **options: Any) -> Iterator[tuple[Node, Executor]]:
     """Yield a node with its own context, and its executor, for processes other than ROS nodes.
 
     ``options`` are those of ``rclpy.create_node``.
@@ -408,24 +405,24 @@ def attached(
     with Context() as context, ExitStack() as stack:
         node = rclpy.create_node(name, context=context, **options)
         stack.callback(node.destroy_node)
-        spinning = stack.enter_context(executor_named(executor, context))
-        spinning.add_node(node)
-        yield node, spinning
+        executor = stack.enter_context(SingleThreadedExecutor(context=context))
+        executor.add_node(node)
+        yield node, executor
 
 
-def executor_named(name: str, context: Context | None = None) -> Executor:
-    """Return a new executor, ``wait_set`` or ``events``; the context defaults to rclpy's.
+def executor_named(name: str) -> Executor:
+    """Return a new executor, ``wait_set`` or ``events``.
 
     Raises:
         BadInput: this rclpy has no events executor.
     """
     if name == 'wait_set':
-        return SingleThreadedExecutor(context=context)
+        return SingleThreadedExecutor()
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
         raise BadInput('executor', name, 'wait_set: this rclpy is older than 7.1.4') from None
-    return EventsExecutor(context=context)
+    return EventsExecutor()
 
 
 def run(node_type: type[Managed]) -> int:

@@ -57,7 +57,6 @@ TRANSFORMS = (TF, TF_STATIC)
 AFRESH = Reason(Cause.AFRESH, 'starting afresh')
 RESET = Reason(Cause.RESET, 'reset')
 DISABLED = Reason(Cause.DISABLED, 'disabled')
-INACTIVE = Reason(Cause.DISABLED, 'inactive')  # as a managed node
 OF_PLANNER = (
     *('projection', 'gap_tolerance', 'response', 'disturbance', 'velocity_source', 'sideslip'),
     *('approach', 'centred', 'odom_timeout', 'goal_timeout'),
@@ -172,10 +171,9 @@ class Inputs:
                     odd.append(('jump', f': {jump}'))
             except BadInput as error:  # noqa: PERF203
                 odd.append((error.culprit, f' refused: {error}'))
-        latest, at = self.latest, self._time
-        for name, shared in self._shared.items():
-            if name in latest and latest[name].stamp.nanoseconds == at:
-                shared[-1:] = [True]
+        for name, stamp in self.stamps(*self._shared).items():
+            if stamp == self._time:
+                self._shared[name][-1:] = [True]
         self.refused.update(f'{topic}: {culprit}' for culprit, _ in odd)
         more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
         return f'{self._named(topic)}{odd[0][1]}{more}' if odd else ''
@@ -540,7 +538,7 @@ def planner_of(settings: PlannerSettings) -> Planner:
         # On a dry run, the commands of another node are unknown.
         estimated=settings.estimated and not settings.dry_run,
         reserve=settings.obstacle_reserve,
-        capture_radius=settings.catch_radius,
+        capture_radius=settings.capture_radius if settings.objective == 'intercept' else 0.0,
         **{name: getattr(settings, name) for name in OF_PLANNER},
     )
     if settings.avoid:

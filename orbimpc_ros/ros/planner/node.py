@@ -110,6 +110,7 @@ HEALTH = 1.0  # [s] longest interval between messages on /diagnostics
 REFUSED = 1.0  # [s] duration of the warning on a refused message
 SILENCE = 1.5  # [s] without any /clock before a warning
 LULL = 10.0  # [s] the same after the first one: lock-step waits for slow planners
+FORGOTTEN = 'plan, estimates and inputs forgotten, but for goals by hand and bodies that last'
 NUMBER = re.compile(r'(?<![\w/])[-+]?\d+(\.\d+)?(e[-+]?\d+)?')
 
 
@@ -165,10 +166,6 @@ class PlannerNode(Managed):
         self._core.inputs.latest.clear()  # including a goal sent by hand
         self._core.start_afresh()
         self._begin_anew()
-
-    def deactivate(self) -> None:
-        """Send a final safe command."""
-        self.safe(core.INACTIVE)
 
     def install(self) -> None:
         """Continue with changed settings, and a planner compiled for them."""
@@ -298,13 +295,12 @@ class PlannerNode(Managed):
 
     def _repeat_answer(self, message: OdometryMessage) -> None:
         """Answer repeated odometry: its goal or first answer may have been lost in discovery."""
-        stamp, at = messages.stamp_of(message), self._now()
-        waited = at[0] - self._sent_at > REPEAT
+        stamp, now = messages.stamp_of(message), self.steady_now()
         if stamp != self._answered:
             awaited = self._time.simulated and self.settings.trigger == 'odom'
-            if awaited and self._core.inputs.renew(stamp, at[0]):
+            if awaited and self._core.inputs.renew(stamp, now):
                 self._answer(self._decide())
-        elif waited and self._decision is not None and not self._unsafe():
+        elif now - self._sent_at > REPEAT and self._decision is not None and not self._unsafe():
             self._command(self._decision)
             self._report(self._decision)  # also for new subscribers
 
@@ -440,11 +436,10 @@ class PlannerNode(Managed):
         """Return the level of diagnostics, and its reasons; empty strings are none."""
         inputs, waiting = self._core.inputs, ''
         if not (self.active and self._enabled):
-            waiting = (core.DISABLED if self.active else core.INACTIVE).words
+            waiting = (core.DISABLED if self.active else self.INACTIVE).words
         elif inputs.missing:
             waiting = f'waits for {inputs.missing}'
         left_out = 0 if self._decision is None else self._decision.left_out
-        refused = self.steady_now() - self._refused_at < REFUSED
         notices = [
             self._monitor.rivals,
             self._time.standstill(LULL if self._time.nanoseconds else SILENCE),
@@ -453,7 +448,7 @@ class PlannerNode(Managed):
             *inputs.silences(),
             f'too many obstacles within reach: {left_out} are ignored' if left_out else '',
             inputs.displaced,
-            self._refusal if refused else '',
+            self._refusal if self.steady_now() - self._refused_at < REFUSED else '',
         ]
         wrong = [self._monitor.sources, *self._monitor.mismatches.values()]
         return outputs.condition(wrong, waiting, self._decision, notices)
@@ -516,21 +511,16 @@ class PlannerNode(Managed):
         self._publish_events()
         self.safe(reason)
 
-    def _on_reset(self, _request: Any, response: Any) -> Any:
+    def _on_reset(self, _request: Any, _response: Any) -> Trigger.Response:
         self._start_afresh('requested', core.RESET)
-        response.success = True
-        response.message = (
-            'plan, estimates and inputs forgotten, but for goals by hand and bodies that last'
-        )
-        return response
+        return Trigger.Response(success=True, message=FORGOTTEN)
 
-    def _on_enable(self, request: Any, response: Any) -> Any:
+    def _on_enable(self, request: Any, _response: Any) -> SetBool.Response:
         self._enabled = request.data
         if self.active and not self._enabled:
             self._be_safe(core.DISABLED)
-        response.success = True
-        response.message = 'enabled' if self._enabled else 'disabled: safe command'
-        return response
+        said = 'enabled' if self._enabled else 'disabled: safe command'
+        return SetBool.Response(success=True, message=said)
 
 
 main = partial(run, PlannerNode)
