@@ -210,11 +210,6 @@ class PlannerSettings(VehicleParameters):
         return self.given_disturbance == ESTIMATED
 
     @cached_property
-    def catch_radius(self) -> float:
-        """Return the radius within which plans catch the goal; 0 without interception [m]."""
-        return self.capture_radius if self.objective == 'intercept' else 0.0
-
-    @cached_property
     def approach(self) -> Approach:
         """Return the cone of headings in which a catch counts; no cone without interception."""
         approach = self.approach_of_a_catch()

@@ -152,11 +152,8 @@ def settings_from(settings: type[S], values: Values) -> S:
     Raises:
         BadInput: a value of another type, or out of range.
     """
-    held = {}
-    for each in fields(settings):  # type: ignore[arg-type]
-        if spec := each.metadata.get('parameter'):
-            held[each.name] = spec.checked(values[spec.name])
-    return settings(**held)
+    rows = {each.name: each.metadata.get('parameter') for each in fields(settings)}  # type: ignore[arg-type]
+    return settings(**{name: row.checked(values[row.name]) for name, row in rows.items() if row})
 
 
 def completed(specs: Iterable[ParameterSpec], given: Values) -> dict[str, Any]:

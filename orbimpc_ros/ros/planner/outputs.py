@@ -268,7 +268,7 @@ def doubts(settings: PlannerSettings, given: Mapping[str, Any]) -> list[str]:
         # Interception plans beyond the horizon.
         f'within {ahead:.4g} s of horizon the vehicle turns by at most {turned:.4g} deg: it may '
         f'never turn round to a goal behind it; half a turn takes a horizon of {needed:.7g}':
-            not settings.catch_radius and problem.turns_are_angles and turned < 180.0,
+            settings.objective == 'track' and problem.turns_are_angles and turned < 180.0,
     }  # fmt: skip
     for name, used, beside in (
         ('approach.cone', settings.approach.exists, f'objective {settings.objective}'),
