@@ -87,14 +87,15 @@ def through_air(velocity: Array, rotation: Array, airspeed: float, wind: Array) 
     Args:
         velocity: over ground, ENU, shape (3,) [m/s].
         rotation: attitude, FLU to ENU, shape (3, 3).
-        airspeed: measured true airspeed [m/s]; NaN without a measurement.
+        airspeed: measured true airspeed [m/s]; unknown unless positive and finite.
         wind: east and north, shape (2,) [m/s]; NaN if unknown.
     """
+    known = 0.0 < airspeed < math.inf
     if not np.isfinite(wind).all():
-        return np.array([airspeed, 0.0, 0.0]) if math.isfinite(airspeed) else None
+        return np.array([airspeed, 0.0, 0.0]) if known else None
     relative = rotation.T @ (velocity - np.append(wind, 0.0))
     speed = float(np.linalg.norm(relative))
-    return relative * (airspeed / speed if math.isfinite(airspeed) and speed > 0.0 else 1.0)
+    return relative * (airspeed / speed if known and speed > 0.0 else 1.0)
 
 
 def coordinated(rotation: Array, airspeed: float) -> float:
@@ -188,10 +189,6 @@ class Wing(ABC):
     def _listen(self, kind: type, topic: str, callback: Callable[..., None], *bound: str) -> None:
         self._node.create_subscription(kind, topic, self._node.guard(callback, *bound), LATEST)
 
-    def _airspeed_is(self, true: float) -> None:
-        """Take in the true airspeed [m/s]; it is unknown unless positive."""
-        self._note('airspeed', true if true > 0.0 else math.nan)
-
     def _wind_is(self, message: TwistWithCovarianceStamped) -> None:
         """Take in the wind, and publish it."""
         linear = message.twist.twist.linear
@@ -262,7 +259,7 @@ class Px4(Wing):
 
     def _on_airspeed(self, message: Any) -> None:
         true, calibrated = message.true_airspeed_m_s, message.calibrated_airspeed_m_s
-        self._airspeed_is(true)
+        self._note('airspeed', true)
         if true > 0.0 and calibrated > 0.0:  # also refuses NaN, which is "invalid"
             self._share = calibrated / true
 
@@ -337,7 +334,7 @@ class ArduPlane(Wing):
 
     def _on_hud(self, message: Any) -> None:
         self._share = equivalent(message.altitude)
-        self._airspeed_is(message.airspeed / self._share)
+        self._note('airspeed', message.airspeed / self._share)
 
     def _on_state(self, message: Any) -> None:
         self._note('mode', message.connected and message.mode == self.mode)
