@@ -427,7 +427,7 @@ def test_a_clock_that_is_set_is_told(by, monkeypatch):
 
     node = NodeClock.__new__(NodeClock)
     shown = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=(steady + offset) * SECOND))
-    node._clock, node.simulated, node._offset, node._on_jump = shown, False, None, told.append
+    node._clock, node.simulated, node._offset, node._on_jump = shown, False, np.nan, told.append
     monkeypatch.setattr(time, 'monotonic', slowly)
     for k in range(10):
         steady, offset = float(k), offset + (by if k == 5 else 1e-6)

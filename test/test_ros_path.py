@@ -185,14 +185,15 @@ def test_who_may_tell_of_obstacles_has_the_planner_get_ready(planner, monkeypatc
     spin_until(executor, lambda: ready)
 
 
-def test_a_warning_beside_a_plan_leaves_the_plan_a_normal_condition(planner):
-    """Otherwise the console says ``over: planning`` when the plan has a flaw later on."""
+def test_a_warning_beside_a_plan_leaves_the_plan_a_normal_condition(planner, capfd):
     node, _ = planner
     for topic in ('goal', 'odom'):
         hear(node, topic)
     node._refusal, node._refused_at = 'odd', node.steady_now()
     node._show_changes()
-    assert node._current == {'planning': (False, 'planning'), 'odd': (True, 'odd')}
+    node._enabled = False  # the plan ends
+    node._show_changes()
+    assert 'over: planning' not in capfd.readouterr().err
 
 
 def test_a_path_is_reached_at_its_end_and_another_path_or_activation_begins_anew(planner):

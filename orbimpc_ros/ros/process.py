@@ -14,6 +14,7 @@ import faulthandler
 import functools
 import gc
 import json
+import math
 import os
 import shlex
 import signal
@@ -310,8 +311,8 @@ class NodeClock:
     def __init__(self, node: Managed, step: float, on_jump: Callable[[float], None]) -> None:
         self._clock, self._on_jump = node.get_clock(), on_jump
         self.simulated = bool(node.get_parameter('use_sim_time').value)
-        self._offset: float | None = None  # from the steady clock to this one [s]
-        self._stood: tuple[int, float] | None = None  # last time shown [ns], and since when [s]
+        self._offset = math.nan  # from the steady clock to this one [s]; unknown at first
+        self._stood = -1, 0.0  # last time shown [ns], and since when [s]
         threshold = JumpThreshold(
             min_forward=Duration(seconds=step),
             min_backward=Duration(nanoseconds=-1),
@@ -331,7 +332,7 @@ class NodeClock:
         if not self.simulated:
             return ''
         shown, now = self.nanoseconds, time.monotonic()
-        if self._stood is None or self._stood[0] != shown:
+        if self._stood[0] != shown:
             self._stood = shown, now
         stood = now - self._stood[1]
         if stood <= patience:
@@ -348,10 +349,9 @@ class NodeClock:
         before, shown, after = time.monotonic(), self.nanoseconds, time.monotonic()
         if self.simulated or after - before > HELD_UP:
             return
-        offset, last = shown / SECOND - after, self._offset
-        self._offset = offset
-        if last is not None and abs(offset - last) > CLOCK_SET:
-            self._on_jump(offset - last)
+        last, self._offset = self._offset, shown / SECOND - after
+        if abs(self._offset - last) > CLOCK_SET:  # False for the first one
+            self._on_jump(self._offset - last)
 
     def _on_simulated_jump(self, jump: TimeJump) -> None:
         if self.nanoseconds != jump.delta.nanoseconds:  # else it has just started

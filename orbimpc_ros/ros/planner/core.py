@@ -126,7 +126,7 @@ class Inputs:
         self.bodies, self._synchronizer = ObstacleTracker(), messages.PoseTwistSynchronizer()
         self.altitude = math.nan
         # Whether a topic had the stamp of recent odometry, the present one last, from the first on.
-        self._shared: dict[str, list[bool]] = {topic: [] for topic in (*GOALS, OBSTACLES)}
+        self._shared: dict[str, deque[bool]] = {}
         self.companions = list[str]()
 
     def adopt(self, settings: PlannerSettings) -> None:
@@ -171,9 +171,9 @@ class Inputs:
                     odd.append(('jump', f': {jump}'))
             except BadInput as error:  # noqa: PERF203
                 odd.append((error.culprit, f' refused: {error}'))
-        for name, stamp in self.stamps(*self._shared).items():
+        for name, stamp in self.stamps(*GOALS, OBSTACLES).items():
             if stamp == self._time:
-                self._shared[name][-1:] = [True]
+                self._shared.setdefault(name, deque([False], WINDOW))[-1] = True
         self.refused.update(f'{topic}: {culprit}' for culprit, _ in odd)
         more = f' (the first of {len(odd)})' if len(odd) > 1 else ''
         return f'{self._named(topic)}{odd[0][1]}{more}' if odd else ''
@@ -241,7 +241,7 @@ class Inputs:
             self._see_anew(None)
 
     def _keep(self, topic: str, received: Received) -> None:
-        last, first = self.latest.get(topic), self.odometry is None
+        last = self.latest.get(topic)
         back = last is not None and received.stamp.nanoseconds <= last.stamp.nanoseconds
         if topic in GOALS:
             self.goal_counts[topic] += 1
@@ -250,13 +250,12 @@ class Inputs:
             # driver's clock has some: waiting would slow the planner down to its rate.
             self.companions = []
             for name, shared in self._shared.items():
-                recent = shared[-WINDOW:]
-                if recent and WINDOW * recent.count(False) <= len(recent):
+                if WINDOW * shared.count(False) <= len(shared):
                     self.companions.append(name)
-                shared[:] = [*recent, False] if recent else []
+                shared.append(False)
             if back:
                 self._keep_goal_alone()
-                first = True
+        first = self.odometry is None
         self.latest[topic] = received
         if topic == 'goal':
             # A goal without a stamp gives a position, but no motion. (In simulations the first
@@ -273,10 +272,9 @@ class Inputs:
 
     def renew(self, stamp: int, now: float) -> bool:
         """Count odometry of a stamp [ns] as arrived again; return True if it may be answered."""
-        odometry = self.odometry
-        if odometry is None or stamp != odometry.stamp.nanoseconds or not self.complete:
+        if stamp != self._time or not self.complete:
             return False
-        self.latest['odom'] = replace(odometry, at=now)
+        self.latest['odom'] = replace(self.latest['odom'], at=now)
         return True
 
     # --- goals
@@ -333,10 +331,9 @@ class Inputs:
         stamp = at.nanoseconds
         _past(stamp, ros, self.settings.future_tolerance + self.lag)
         limit, age = min(body.lifetime, COMPARABLE), (self._time - stamp) / SECOND
-        if age > limit and stamp == 0:
-            raise BadInput.stating('unset stamp', '0', NOT_SET)
         if age > limit:
-            raise BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
+            stale = BadInput('stale stamp', f'{age:.3g} s old', f'at most {limit:g} s')
+            raise stale if stamp else BadInput.stating('unset stamp', '0', NOT_SET)
         return self.bodies.see(body, self.settings.obstacle_speed_limit)
 
     def traffic(self, at: float) -> ObservedTraffic | None:

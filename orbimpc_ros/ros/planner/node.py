@@ -186,7 +186,7 @@ class PlannerNode(Managed):
         }
         self._shown = dict[str, bool]()  # events as last published
         self._begin_anew()
-        self._level, self._current = OK, dict[str, tuple[bool, str]]()  # as last published
+        self._level, self._current = OK, dict[str, str]()  # as last published
 
     def _begin_anew(self) -> None:
         self._events = Events()
@@ -459,18 +459,15 @@ class PlannerNode(Managed):
         A line is not logged again soon, nor one that differs in numbers alone.
         """
         level, parts = self._condition()
-        current = {
-            NUMBER.sub('#', part): (level != OK and part not in outputs.NORMAL, part)
-            for part in parts
-        }
-        news = {kind: each for kind, each in current.items() if kind not in self._current}
-        for kind, (odd, part) in self._current.items():
-            if odd and kind not in current:
-                news[f'over: {kind}'] = False, f'over: {part}'
-        self._current, now = current, self.steady_now()
+        before, now = self._current, self.steady_now()
+        self._current = current = {NUMBER.sub('#', part): part for part in parts}
+        news = {kind: part for kind, part in current.items() if kind not in before}
+        for kind, part in before.items():
+            if kind not in current and part not in outputs.NORMAL:
+                news[f'over: {kind}'] = f'over: {part}'
         recent = {kind: at for kind, at in self._logged.items() if now - at < QUIET}
-        for kind, (odd, line) in news.items():
-            if odd and kind not in recent:
+        for kind, line in news.items():
+            if kind in current and kind not in recent and line not in outputs.NORMAL:
                 self.get_logger().warning(line)
             elif kind not in recent:
                 self.get_logger().info(line)
