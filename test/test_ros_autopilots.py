@@ -403,12 +403,15 @@ def test_what_is_measured_becomes_odometry_and_setpoints_leave_in_the_mode_alone
     assert_said_once(flown.planner.output, name)
 
 
-def test_a_dry_run_sends_nothing(wing):
-    flown = wing('px4', dry_run=True)
+@pytest.mark.parametrize('name', KINDS)
+def test_a_dry_run_sends_nothing(wing, name):
+    flown = wing(name, dry_run=True)
     flown.in_mode = True
     flown.until(lambda: len(flown.odometry) > 60, 'odometry')
-    assert not flown.setpoints
-    assert not flown.kept
+    flown.alive = False
+    flown.until(lambda: 'no position' in flown.planner.output, 'the loss of its position')
+    flown.observer.spin(0.5)
+    assert not [*flown.setpoints, *flown.kept]
     assert not flown.node.count_publishers('fmu/in/offboard_control_mode')
     assert 'dry run: sends no commands' in flown.planner.output
 

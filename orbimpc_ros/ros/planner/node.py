@@ -346,7 +346,7 @@ class PlannerNode(Managed):
         """Send a safe command now, unless the planner has not commanded anything yet."""
         if self.active and self._sent_at > -math.inf:
             self._be_safe(reason)
-            if self._wing is not None and self._wing.engaged:
+            if self._wing is not None and self._engaged:
                 self._wing.release()
 
     def _be_safe(self, reason: Reason) -> None:

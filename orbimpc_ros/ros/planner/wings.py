@@ -168,7 +168,7 @@ class Wing(ABC):
                 engaged, why = False, f'no {event} for {limit:g} s'
         if engaged != self.engaged:
             self.engaged = engaged
-            if not engaged and in_mode:
+            if not engaged and in_mode and self._last('setpoint', math.inf):  # not on a dry run
                 self.release()
             self._switched(f'{self.name}: {why}: {"setpoints" if engaged else "silent"}')
         if self._last('position', FRESH) and self._last('setpoint', 1.0):
