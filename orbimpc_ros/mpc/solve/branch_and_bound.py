@@ -166,14 +166,7 @@ class Search:
                 path = self._onward(path, plane)
         if best.x is None:
             best.recall()
-        lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
-        if max(lower, root.bound) == np.inf:
-            raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
-        if plane is not None and path.lower_bound >= lower and not path.proofs:
-            path = plane.proved(self._request, path)
-        if path.proofs and path.lower_bound >= lower:
-            return replace(path, x=best.x, cost=best.cost, nodes=best.solved)
-        return Found(best.x, best.cost, lower, best.solved, proofs=self._proofs(lower))
+        return self._found(path, plane)
 
     def _onward(self, path: Found, plane: TreeSearch) -> Found:
         """Return the path after another round of its search; offer it if it is cheaper."""
@@ -182,12 +175,25 @@ class Search:
             self._dives.offer(longer.x)
         return longer
 
-    def _proofs(self, lower: float) -> tuple[ProofTree, ...]:
-        """Return the proof of a bound, if any: the tree, or its root if that is as good."""
-        enough = self._nodes[0].bound >= lower - self._tolerance * abs(lower)
-        root = self._leaves.tree(self._nodes, 1) if enough else None
-        tree = root or self._leaves.tree(self._nodes)
-        return (tree,) if tree else ()
+    def _found(self, path: Found, plane: TreeSearch | None) -> Found:
+        """Return the incumbent with the better bound and its proof: the tree's or the path's.
+
+        Raises:
+            Infeasible: every leaf is.
+        """
+        best, root, request = self._dives, self._nodes[0], self._request
+        lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
+        if max(lower, root.bound) == np.inf:
+            raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
+        if plane is not None and path.lower_bound >= lower and not path.proofs:
+            path = plane.proved(request, path)
+        if path.proofs and path.lower_bound >= lower:
+            return replace(path, x=best.x, cost=best.cost, nodes=best.solved)
+        # The root alone is the proof, if its bound is as good.
+        enough = root.bound >= lower - self._tolerance * abs(lower)
+        tree = self._leaves.tree(self._nodes, 1) if enough else None
+        tree = tree or self._leaves.tree(self._nodes)
+        return Found(best.x, best.cost, lower, best.solved, proofs=(tree,) if tree else ())
 
     @property
     def _limit(self) -> float:
