@@ -5,13 +5,26 @@ import dataclasses
 import inspect
 import pickle
 import re
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import orbimpc_ros
-from orbimpc_ros import Box, Floor, Odometry, Planner, Problem, Snapshot, Solver, State, Weights
+from orbimpc_ros import (
+    BadInput,
+    Box,
+    Floor,
+    Odometry,
+    Planner,
+    Problem,
+    Snapshot,
+    Solver,
+    State,
+    Weights,
+)
 
 PAGE = (Path(__file__).parents[1] / 'docs' / 'library.md').read_text()
 CLASSES = [n for n in orbimpc_ros.__all__ if not n.startswith('_')]
@@ -58,6 +71,18 @@ def test_values_compare_hash_and_pickle_by_content():
         assert hash(one) == hash(twin)
         assert pickle.loads(pickle.dumps(one)) == one
         assert one != 'something else'
+    error = BadInput('goals', [1.0], '2 numbers')
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)  # as from a process of a pool
+
+
+def test_threads_may_share_a_solver():
+    problem = Problem(horizon=8, obstacles=(Box([1, -1], [2, 1]), Box([3, 0], [4, 3])))
+    solver, state = Solver(problem), State.at([0.0, 0.0], np.eye(2))
+    goals = np.random.default_rng(5).normal(scale=4.0, size=(48, 1, 2)) + np.zeros((8, 2))
+    with ThreadPoolExecutor(8) as pool:
+        plans = list(pool.map(partial(solver.solve, state), goals))
+    alone = [solver.solve(state, each).objective for each in goals]
+    assert [plan.objective for plan in plans] == pytest.approx(alone)
 
 
 def test_values_of_other_content_differ_and_cannot_be_changed():

@@ -30,6 +30,10 @@ class BadInput(OrbimpcError, ValueError):
         shown = _in_short(plain if isinstance(plain, str) else repr(plain))
         super().__init__(text or f'{culprit} is {shown}; allowed: {allowed}')
 
+    def __reduce__(self) -> tuple:
+        """Pickle all arguments, so that an error of a worker process can reach its parent."""
+        return type(self), (self.culprit, self.value, self.allowed, str(self))
+
     @classmethod
     def stating(cls, subject: str, problem: str, hint: str) -> BadInput:
         """Return an error that is not about a value: ``subject: problem; hint``."""

@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from threading import RLock
 
 import numpy as np
 
@@ -118,6 +119,8 @@ class Units:
 class Solver:
     """Solver of one problem for any state and goals; compiled at construction.
 
+    Threads may share it: of several calls one runs at a time.
+
     Args:
         problem: what to solve.
         projection: ``nearest`` or ``thrust_aligned``: projection of plans to rotations.
@@ -154,6 +157,7 @@ class Solver:
         self._method = self._made(among=False)
         self.takes_guess = self._method.takes_guess
         self._enough = Enough(*(each / self._units.cost for each in enough or Enough()))
+        self._turn = RLock()  # methods and the verifier keep their work arrays between calls
 
     def solve(
         self,
@@ -182,24 +186,8 @@ class Solver:
             SolverFailure: no trajectory was found, and none was proved not to exist.
         """
         request = self._request(state, goals, guess, out_of_time)
-        try:
-            result = self._result(request)
-        except Infeasible as error:
-            result = Found(reason=f'a plan exists, though the search found: {error}')
-            return self._instead(request, result, error)
-        if result.x is None:
-            return self._instead(request, result, SolverFailure(result.reason))
-        plan = self._assembled(request, result.x, self._proof(request, result))
-        flaws = violations(self.problem, state, request.goals, plan)
-        if flaws:
-            result = Found(reason='the plan found fails its check: ' + '; '.join(flaws))
-            return self._instead(request, result, SolverFailure(result.reason))
-        closed = plan.objective - plan.lower_bound <= self._tolerance * plan.objective
-        # Proved optimal relative to its own cost, however small, or good enough, or time is up.
-        if closed or self._enough.met(result) or request.late:
-            return plan
-        instead = replace(plan.proof, reason=joined(plan.proof.reason, STANDS_IN))
-        return self._cheapest(request, self._unsought(request), instead, plan.objective) or plan
+        with self._turn:
+            return self._checked(request)
 
     def propose(
         self,
@@ -216,10 +204,32 @@ class Solver:
             SolverFailure: the method found no trajectory.
         """
         request = self._request(state, goals, guess, out_of_time)
-        result = self._result(request)
+        with self._turn:
+            result = self._result(request)
+            if result.x is None:
+                raise SolverFailure(result.reason)
+            return self._assembled(request, result.x, self._proof(request, result))
+
+    def _checked(self, request: Request) -> Plan:
+        """Return the plan of a request, with the errors of :meth:`solve`."""
+        try:
+            result = self._result(request)
+        except Infeasible as error:
+            result = Found(reason=f'a plan exists, though the search found: {error}')
+            return self._instead(request, result, error)
         if result.x is None:
-            raise SolverFailure(result.reason)
-        return self._assembled(request, result.x, self._proof(request, result))
+            return self._instead(request, result, SolverFailure(result.reason))
+        plan = self._assembled(request, result.x, self._proof(request, result))
+        flaws = violations(self.problem, request.state, request.goals, plan)
+        if flaws:
+            result = Found(reason='the plan found fails its check: ' + '; '.join(flaws))
+            return self._instead(request, result, SolverFailure(result.reason))
+        closed = plan.objective - plan.lower_bound <= self._tolerance * plan.objective
+        # Proved optimal relative to its own cost, however small, or good enough, or time is up.
+        if closed or self._enough.met(result) or request.late:
+            return plan
+        instead = replace(plan.proof, reason=joined(plan.proof.reason, STANDS_IN))
+        return self._cheapest(request, self._unsought(request), instead, plan.objective) or plan
 
     def _request(
         self, state: State, goals: Array, guess: Plan | Array | None, out_of_time: Late | None
