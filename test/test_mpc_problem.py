@@ -310,5 +310,5 @@ def test_far_too_large_numbers_are_a_failure_and_no_error_of_arithmetic():
         Solver(Problem(floor=circle)).solve(storm, GOALS)
     with pytest.raises(SolverFailure):  # there is no path in a plane either
         Solver(Problem(3, floor=circle, max_rate=1.0)).solve(
-            State.at(np.zeros(3), np.eye(3)), np.full((5, 3), 1.7e308)
+            State.at(np.zeros(3), np.eye(3)), np.full((5, 3), 1.7e308), None, lambda: True
         )
