@@ -16,7 +16,7 @@ from test_ros_outputs import LANDER
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.problem.problem import weighed
 from orbimpc_ros.ros.parameters.planner import PLANNER, planner_settings
-from orbimpc_ros.ros.parameters.spec import completed, given_sections, unused
+from orbimpc_ros.ros.parameters.spec import completed, given_sections, outvoted, unused
 from orbimpc_ros.sim.parameters import SIM, sim_settings
 
 
@@ -186,6 +186,8 @@ def test_parameters_that_no_node_takes_are_told(tmp_path, monkeypatch, name, sec
     monkeypatch.setattr(sys, 'argv', words)
     told = [*(f'section {each} in {file}' for each in sections), *(f'-p {each}' for each in rules)]
     assert unused(given_sections(), name, 'planner') == told
+    assert outvoted({'step': 1.0}, name) == []
+    assert len(outvoted({'step': 2.0}, name)) == 1  # of a section that ROS prefers to -p
     file.write_text('/uav3/planner: {ros__parameters: {step: 1.0}}')  # and none for this node
     assert unused(given_sections(), name, 'planner')[0] == f'section /uav3/planner in {file}'
     monkeypatch.setattr(sys, 'argv', ['planner'])

@@ -452,6 +452,8 @@ def run(node_type: type[Managed]) -> int:
             full = node.get_fully_qualified_name()
             for lost in spec.unused(sections, full, node.kind):
                 node.get_logger().warning(f'{lost} is not for {full}: not used')
+            for lost in spec.outvoted(node.given, full):
+                node.get_logger().warning(lost)
             node.begin()
             return _live(node)
     except (BadInput, InvalidParameterTypeException) as error:  # use_sim_time of another type

@@ -13,6 +13,7 @@ import re
 import sys
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -207,6 +208,27 @@ def unused(given: Iterable[tuple[str, str]], full: str, kind: str) -> list[str]:
         if flag in ('-p', '--param') and colon and f'/{owner}' != full:
             ignored.append(f'-p {rule}')
     return ignored
+
+
+def outvoted(values: Values, full: str) -> list[str]:
+    """Return values of -p for all nodes that are not in force, each with what to do about it.
+
+    Args:
+        values: those in force, by name.
+        full: name of the node, with its namespace, which ROS does not take in -p.
+    """
+    lost, alone = [], full.count('/') == 1
+    for flag, rule in pairwise(sys.argv):
+        name, _, text = rule.partition(':=')
+        if flag in ('-p', '--param') and name in values:
+            given = np.asarray(yaml.safe_load(text))
+            if given.dtype.kind == 'U':  # such as 1e-3, which is a number in ROS alone
+                with suppress(ValueError):
+                    given = given.astype(float)
+            if not np.array_equal(given, values[name]):
+                own = f'give -p {full[1:]}:{rule}' if alone else 'set it in a file'
+                lost.append(f"-p {rule} loses to a file's section for {full}: {own}")
+    return lost
 
 
 def given_sections() -> list[tuple[str, str]]:
