@@ -150,16 +150,7 @@ def report_messages(
         head = stamp.nanoseconds, f'{node}: tick', level(decision)
         yield 'tick', diagnostics(*head, decision.reason or decision.status, values(decision))
     if 'plan' in heard:
-        flown: Iterable[tuple[Array, Array]] = ()
-        if decision.plan is not None:
-            flown = zip(decision.plan.positions, decision.plan.projected, strict=True)
-        elif settings.avoid and decision.state is not None:  # others avoid this vehicle
-            flown = obeyed(settings.problem, decision.state, decision.command)
-        poses = [messages.pose(place, stamp.frames.own(turned)) for place, turned in flown]
-        step = (decision.problem or settings.problem).step
-        after = decision.advanced + decision.led
-        if poses:
-            yield 'plan', messages.path_message(stamp, step, poses, after)
+        yield from _plan_messages(settings, stamp, decision)
     if 'plan_markers' in heard and decision.plan is not None and decision.state is not None:
         still = settings.problem.obstacles  # hazards as well if a reserve is kept from them
         moving = tuple(each for each in decision.state.hazards if each.body not in still)
@@ -170,6 +161,20 @@ def report_messages(
             proofs.insert(0, certificate_of(*case.parts, plan.proof))
         for proof in filter(None, proofs):
             yield 'certificate', UInt8MultiArray(data=array('B', text_of(proof).encode()))
+
+
+def _plan_messages(
+    settings: PlannerSettings, stamp: Stamp, decision: Decision
+) -> Iterator[tuple[str, Any]]:
+    """Yield the plan, or what the safe command leads to if others avoid this vehicle."""
+    flown: Iterable[tuple[Array, Array]] = ()
+    if decision.plan is not None:
+        flown = zip(decision.plan.positions, decision.plan.projected, strict=True)
+    elif settings.avoid and decision.state is not None:
+        flown = obeyed(settings.problem, decision.state, decision.command)
+    if poses := [messages.pose(place, stamp.frames.own(turned)) for place, turned in flown]:
+        step, after = (decision.problem or settings.problem).step, decision.advanced + decision.led
+        yield 'plan', messages.path_message(stamp, step, poses, after)
 
 
 def obeyed(problem: Problem, state: State, command: Command) -> list[tuple[Array, Array]]:
