@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -60,18 +61,6 @@ class Slack:
     gradient: Array
     unit: float = 1.0
     signed: bool = False
-
-
-def slacks_of(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
-    """Yield the slacks of all active constraints of a plan that meets them all."""
-    yield from _limits(problem, state, goals, plan)
-    if problem.dimension == 3:
-        yield from _hull(plan)
-    if problem.obstacles or state.hazards:
-        yield from _beside(problem, state, goals, plan)
-    yield from _arrival(problem, plan)
-    if problem.rotation_order == 2 and state.coasted is not None:
-        yield from _thrust(state.coasted, plan)
 
 
 def _limits(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
@@ -124,26 +113,20 @@ def _tightened(problem: Problem, name: str) -> tuple[Problem, float]:
 
 
 def _hull(plan: Plan) -> Iterator[Slack]:
-    """Yield the eigenvalues of the LMI of conv SO(3) that are zero."""
-    for k, x in enumerate(plan.x[1:], start=1):
-        values, vectors = np.linalg.eigh(lmi(x))
-        yield from _face(plan, k, vectors[:, values < ACTIVE])
-
-
-def _face(plan: Plan, k: int, kernel: Array) -> Iterator[Slack]:
-    """Yield gradients of <Y, LMI> for a basis of symmetric Y on the LMI's kernel, shape (4, r).
+    """Yield <Y, LMI> for a basis of symmetric Y on the kernel of the LMI of conv SO(3).
 
     The multiplier is a positive semidefinite Y; its trace is the price of scaling the hull. This is
-    not enforced for r > 1: unique multipliers satisfy it.
+    not enforced for a kernel of more than one dimension: unique multipliers satisfy it.
     """
     _, linear = lmi_parts()
-    count = kernel.shape[1]
-    for i in range(count):
-        for j in range(i, count):
-            both = np.outer(kernel[:, i], kernel[:, j])
+    for k, x in enumerate(plan.x[1:]):
+        values, vectors = np.linalg.eigh(lmi(x))
+        kernel = vectors.T[values < ACTIVE]
+        for i, j in combinations_with_replacement(range(len(kernel)), 2):
+            both = np.outer(kernel[i], kernel[j])
             gradient = linear.T @ (0.5 * (both + both.T)).ravel()
-            alone = np.outer(np.eye(plan.horizon)[k - 1], gradient)
-            yield Slack('hull', k, alone, float(i == j), signed=count > 1)
+            alone = np.outer(np.eye(plan.horizon)[k], gradient)
+            yield Slack('hull', k + 1, alone, float(i == j), signed=len(kernel) > 1)
 
 
 def _beside(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[Slack]:
@@ -223,7 +206,14 @@ class Explanation:
 
 def explained(problem: Problem, state: State, goals: Array, plan: Plan) -> Explanation:
     """Return the binding constraints of an optimal plan, for g_1..g_N, shape (N, n) [m]."""
-    slacks = list(slacks_of(problem, state, goals, plan))
+    slacks = list(_limits(problem, state, goals, plan))
+    if problem.dimension == 3:
+        slacks += _hull(plan)
+    if problem.obstacles or state.hazards:
+        slacks += _beside(problem, state, goals, plan)
+    slacks += _arrival(problem, plan)
+    if problem.rotation_order == 2 and state.coasted is not None:
+        slacks += _thrust(state.coasted, plan)
     terms = gradients_of_cost(problem, state, goals, plan.x[1:])
     nothing = ROUNDING * max(plan.objective, Units.of(problem).cost)  # at the goal gradients vanish
     scale = max(sum(map(np.linalg.norm, terms)), nothing, TINY)
