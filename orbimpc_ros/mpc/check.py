@@ -57,7 +57,10 @@ def _flaws(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator
     yield from terminal_violations(problem, goals, plan)
     yield from _proof_violations(problem, state, goals, plan)
     yield from _rotation_violations(problem, state, plan)
-    yield from _limit_violations(problem, state, goals, plan)
+    length = _length_tolerance(problem, state.position)
+    for name, least in margins(problem, state, goals, plan).items():
+        if least < -(TOLERANCE if name in SHARES else length):
+            yield f'{name} violated by {-least:.2g}'
 
 
 # --- dynamics
@@ -130,13 +133,6 @@ def margins(problem: Problem, state: State, goals: Array, plan: Plan) -> dict[st
     if problem.obstacles or state.hazards:
         least |= clearances(problem, state, plan)
     return least
-
-
-def _limit_violations(problem: Problem, state: State, goals: Array, plan: Plan) -> Iterator[str]:
-    length = _length_tolerance(problem, state.position)
-    for name, least in margins(problem, state, goals, plan).items():
-        if least < -(TOLERANCE if name in SHARES else length):
-            yield f'{name} violated by {-least:.2g}'
 
 
 def step_margins(

@@ -145,7 +145,4 @@ class Maps:
         self.unit = step * (step * forward) if model.inertial else step * forward
 
 
-@lru_cache(maxsize=256)
-def maps_of(model: Translation, horizon: int, step: float, forward: float) -> Maps:
-    """Return the maps of a model; cached."""
-    return Maps(model, horizon, step, forward)
+maps_of = lru_cache(maxsize=256)(Maps)
