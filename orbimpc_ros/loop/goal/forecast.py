@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.goal.motion import Forecast, GoalObservation, slope
+from orbimpc_ros.loop.goal.motion import GoalObservation, slope
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.geometry.rotations import skew
 
@@ -449,7 +449,7 @@ class Bank:
 
     def __init__(self) -> None:
         self.model = ''
-        self._last: float | None = None
+        self._last = -math.inf  # stamp of the last sighting [s]
         self._fits: Fits  # of the present motion, from the first sighting on
         self._earlier: list[tuple[Fits, int]] = []  # of motions before; numbers of their sightings
         self._apart: list[GoalObservation] = []  # consecutive outliers so far
@@ -461,18 +461,18 @@ class Bank:
 
         An outlier is set aside; with some more it starts a new motion.
         """
-        time, last = sighting.time, self._last
-        if last is not None and time <= last:
+        waited = sighting.time - self._last
+        if waited <= 0.0:
             return
-        if last is None or time - last > LOST:
+        if waited > LOST:
             self._begin([sighting])
-        elif self._expected(sighting, time - last):
-            self._learn(sighting, time - last)
+        elif self._expected(sighting, waited):
+            self._learn(sighting, waited)
         else:
             self._apart.append(sighting)
             if len(self._apart) == BELIEVED:
                 self._begin(self._apart, self._fits.count)
-        self._last, self.model = time, NAMES[int(np.argmax(self._fits.shares))]
+        self._last, self.model = sighting.time, NAMES[int(np.argmax(self._fits.shares))]
 
     def at(self, times: Array) -> Array:
         """Return the predicted positions at ``times``, shape (N,) [s], as shape (N, n) [m].
@@ -481,7 +481,6 @@ class Bank:
         own position at the last sighting is limited by the highest speed observed.
         """
         fits, last = self._fits, self._last
-        assert last is not None
         used = np.flatnonzero(fits.shares > NEGLIGIBLE)
         shares = fits.shares[used] / fits.shares[used].sum()
         places = fits.at(np.append(last, times))[used]
@@ -584,7 +583,7 @@ class Velocity:
         self._latest: deque[GoalObservation] = deque(maxlen=latest)
 
     def observe(self, sighting: GoalObservation) -> None:
-        """Take in a sighting."""
+        """Take in a sighting; sightings come in order of time."""
         self._latest.append(sighting)
 
     def _past(self) -> Past:
@@ -663,7 +662,7 @@ def _fit(frequencies: Array, past: Array, seen: Array, ahead: Array) -> Array:
     return np.column_stack([frequencies, evidence.max(axis=1) + np.log(total), predicted])
 
 
-FORECASTS: dict[str, Callable[[], Forecast]] = {
+FORECASTS: dict[str, Callable[[], Velocity | Bank]] = {
     'hold': partial(Velocity, latest=1),
     'velocity': partial(Velocity, latest=3),
     'harmonic': partial(Harmonic, latest=64),

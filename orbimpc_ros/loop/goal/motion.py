@@ -51,15 +51,8 @@ class GoalMotion(Protocol):
         """Return the positions at ``times``, shape (N,) [s], as shape (N, n) [m]."""
 
 
-class Forecast(GoalMotion, Protocol):
-    """Predicts a goal from its sightings."""
-
-    def observe(self, sighting: GoalObservation) -> None:
-        """Take in a sighting; sightings come in order of time."""
-
-
-@dataclass(frozen=True)
-class GoalTrajectory:
+@dataclass(frozen=True, eq=False)
+class GoalTrajectory(Sealed):
     """An external forecast: stamped future positions, interpolated in between."""
 
     times: Array  # increasing stamps, shape (M,) [s]
@@ -69,8 +62,7 @@ class GoalTrajectory:
     def __post_init__(self) -> None:
         if len(self.times) == 0 or np.any(np.diff(self.times) <= 0.0):
             raise BadInput('goal_path stamps', self.times.tolist(), 'one or more, increasing')
-        sealed(self.times)
-        sealed(self.positions)
+        super().__post_init__()
 
     def at(self, times: Array) -> Array:
         """Return the positions at ``times``, shape (N, n); both end points are held."""
