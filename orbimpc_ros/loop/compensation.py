@@ -20,7 +20,6 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -174,13 +173,6 @@ def followed(reached: F, wanted: F, duration: float, lag: float) -> tuple[F, F]:
         return wanted, wanted * duration
     left = (reached - wanted) * math.exp(-duration / lag)
     return wanted + left, wanted * duration + lag * (reached - wanted - left)
-
-
-def covered(shares: Sequence[float], duration: float, lag: float) -> list[float]:
-    """Return the integral of a share over each step [s]: from shares[0], it lags shares[1:]."""
-    begun = shares[0], 0.0
-    steps = accumulate(shares[1:], lambda x, c: followed(x[0], c, duration, lag), initial=begun)
-    return [integral for _, integral in steps][1:]
 
 
 @dataclass(frozen=True)
@@ -487,7 +479,7 @@ class Compensator:
         before, self.history.due = self.history.coming, command
         if problem.inertial:
             due = max(problem.least_speed, before.speed_fraction if before else 0.0)  # after a stop
-            late = {'euler': 0.0, 'exact': 0.5, 'held': 1.0}[problem.discretisation]
+            late = float(problem.maps.lasting[-1])
             fraction = (1.0 - late) * due + late * command.speed_fraction
             command = replace(command, speed_fraction=fraction)
         if problem.rotation_order == 2:

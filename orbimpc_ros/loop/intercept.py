@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.loop.compensation import covered
+from orbimpc_ros.loop.compensation import followed
 from orbimpc_ros.loop.goal.motion import GoalMotion
 from orbimpc_ros.mpc.arrays import Array, sealed
 from orbimpc_ros.mpc.check import holds
@@ -349,7 +349,7 @@ class Interception:
         off = self._off(query, end, catch.plan, goals)
         short = max(min(0.0, float(off @ ahead)) - SLACK * self._aim, -AIM * self._radius)
         before = np.concatenate([goals[:-1], goals[-1:] + short * ahead])
-        through = self._attempted(query, end, before, narrow=self._coned)
+        through = self._attempted(query, end, before)
         if through.plan and self._is_well(through):
             miss = float(np.linalg.norm(self._off(query, end, through.plan, goals)))
             if miss <= self._radius:
@@ -377,7 +377,7 @@ class Interception:
         goals = self._goals(query, end)
         if missed(self.problem(end), query.task.state, goals, self._near)[-1]:
             return MISSED
-        attempt = self._attempted(query, end, goals, narrow=self._coned)
+        attempt = self._attempted(query, end, goals)
         return MISSED if attempt.plan and _turns_too_far(attempt.plan, end) else attempt
 
     def _may(self, query: InterceptQuery, end: float) -> bool:
@@ -401,25 +401,24 @@ class Interception:
 
         A plan possible only in the wider cone is never well within, however small its miss.
         """
-        if not self._coned:
-            return self._attempted(query, end, goals)
-        within = self._attempted(query, end, goals, narrow=True)
-        if self._is_well(within):
+        within = self._attempted(query, end, goals)
+        if not self._coned or self._is_well(within):
             return within
-        wider = self._attempted(query, end, goals)
+        wider = self._attempted(query, end, goals, wide=True)
         wider = wider._replace(miss=max(wider.miss, self._radius))
         nearer = min(within, wider, key=_miss)
         return nearer._replace(never=wider.never, checked=wider.checked)
 
     def _attempted(
-        self, query: InterceptQuery, end: float, goals: Array, *, narrow: bool = False
+        self, query: InterceptQuery, end: float, goals: Array, *, wide: bool = False
     ) -> _Attempt:
-        """Try to catch the goal at an end, in units of steps, with correction of the defect.
+        """Try to catch the goal at an end, in the narrower cone unless ``wide``.
 
         A plan is solved again for a goal shifted by its defect (iterated defect correction), while
         the next one may end near the goal if its defect is as here.
         """
-        best, aims, problem = MISSED, goals, self.problem(end, narrow)
+        best, aims, narrow = MISSED, goals, self._coned and not wide
+        problem = self.problem(end, narrow)
         posed = replace(query.task, problem=problem, solver_for=lambda _: self.solver(end, narrow))
         for _ in range(TRIES):
             if query.late():
@@ -469,7 +468,10 @@ def defect(problem: Problem, state: State, plan: Plan, lag: float) -> Array:
         return np.zeros(problem.dimension)
     before, after = plan.projected[:-1], plan.projected[1:]
     ahead = mean_axes(before.transpose(0, 2, 1) @ after)
-    flown = covered(plan.speed_fraction.tolist(), problem.step, lag)
+    flown, (reached, *shares) = [], plan.speed_fraction.tolist()
+    for share in shares:
+        reached, way = followed(reached, share, problem.step, lag)
+        flown.append(way)
     travelled = problem.forward * np.einsum('k,kij,kj->i', flown, before, ahead)
     blown = problem.horizon * problem.step * state.disturbance
     return np.asarray(state.position + blown + travelled - plan.positions[-1])

@@ -513,11 +513,11 @@ class Planner:
         lasts = memory.fallbacks <= FALLBACK_TICKS and memory.flown < memory.until - SNAP
         if lasts and task.rest and holds(*task.parts, task.rest):
             return self._following(task, task.rest, status, reason, Fallback.SHIFTED_PLAN)
-        arriving = memory.until or task.problem.has_cones  # waiting means falling
-        if arriving and task.problem.terminal == 'constraint' and not reason.cause:
-            return self._arrive_softly(task, status, reason)
         if reason.cause:
             return self._safe(task.state, status, reason)
+        arriving = memory.until or task.problem.has_cones  # waiting means falling
+        if arriving and task.problem.terminal == 'constraint':
+            return self._arrive_softly(task, status, reason)
         if eased := leaving(task):
             plan, _, _ = eased.solved()
             if plan is not None:
