@@ -112,9 +112,7 @@ def beside(rows: Array, thrust: Array, others: Array) -> Array:
 def on_axes(gradient: Array) -> Array:
     """Return a gradient in thrust axes, shape (N, n), as one in rotations, shape (N, d)."""
     steps, n = gradient.shape
-    full = np.zeros((steps, coordinate_count(n)))
-    full[:, :n] = gradient
-    return full
+    return np.hstack([gradient, np.zeros((steps, coordinate_count(n) - n))])
 
 
 @dataclass(frozen=True, eq=False)
