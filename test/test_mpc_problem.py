@@ -9,8 +9,9 @@ import pytest
 from plans import assembled
 from problems import CASES, ORDERS, disturbed, floor, goals, weights
 
+from orbimpc_ros.loop.compensation import Odometry
 from orbimpc_ros.loop.goal.motion import GoalTrajectory
-from orbimpc_ros.loop.planner import Planner
+from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.mpc.arrays import frozen
 from orbimpc_ros.mpc.check import violations
 from orbimpc_ros.mpc.errors import BadInput, Infeasible, SolverFailure
@@ -49,6 +50,11 @@ def test_what_its_owner_may_change_is_copied(shown):
 
 def asked(*others, coasting=False, **given):
     return Solver(Problem(**given), coasting=coasting).solve(STILL, *others)
+
+
+def stepped(goal, n=2):
+    measured = Odometry(0.0, np.zeros(n), np.eye(n), np.zeros(n), np.zeros(1))
+    return Planner(Problem()).step(Snapshot(measured, goal))
 
 
 def directed(cone=0.3, direction=(1.0, 0.0)):
@@ -92,6 +98,12 @@ VALUES = {
         'disturbance': [[1.0]],
         'hazards': [[DRIFTING], (DISC,), 65 * (DRIFTING,)],
     },
+    (partial(Planner, Problem()), ''): {
+        'safe': ['circle', 'hover'],
+        'velocity_source': ['aer'],
+        'disturbance': [np.zeros(3)],
+        'odom_timeout': [0.0, np.nan],
+    },
 }
 
 
@@ -120,7 +132,9 @@ VALUES = {
         (lambda: State.at([0.0] * 3, np.diag([1.0, 1.0, -1.0])), 'state.rotation'),
         (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
         *((lambda g=g: asked(g), 'goals') for g in (GOALS[1:], GOALS * np.nan, WORDS)),
-        (lambda: Planner(Problem(), safe='circle'), 'safe'),
+        *((lambda g=g: stepped(g), 'goal') for g in (GOALS[1:], GOALS.ravel(), WORDS)),
+        (lambda: stepped(GOALS, 3), 'odometry.position'),
+        (lambda: Planner(Problem(3), sideslip=True), 'sideslip'),
         (lambda: asked(np.zeros((5, 3)), dimension=3), 'state.position'),
         *((lambda g=g: asked(GOALS, g), 'guess') for g in (GOALS[1:], WORDS)),
         (lambda: asked(GOALS, rotation_order=2, coasting=True), 'state.coasted'),

@@ -24,7 +24,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from orbimpc_ros.mpc.arrays import Array, Sealed, number
+from orbimpc_ros.mpc.arrays import Array, Sealed, frozen, number, word
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp, log, turned
 from orbimpc_ros.mpc.plan import Command, Plan
 from orbimpc_ros.mpc.problem import Problem
@@ -259,8 +260,11 @@ class Compensator:
     ) -> None:
         self._problem, self.response = problem, response or Response()
         self._full = problem.forward * np.eye(problem.dimension)[0]  # speed or thrust
-        self._velocity_source, self._sideslip = velocity_source, sideslip
-        self._given = np.zeros(problem.dimension) if given is None else given
+        self._velocity_source = word(velocity_source, 'velocity_source', SOURCES)
+        if sideslip and problem.dimension == 3:
+            raise BadInput('sideslip', sideslip, 'False in space')
+        self._sideslip, still = sideslip, np.zeros(problem.dimension)
+        self._given = still if given is None else frozen(given, still.shape, 'disturbance')
         self._estimated = estimated
         self._gusts = GUSTS_SEEN if sideslip else GUSTS
         self._drift = DRIFT_PUSHED if problem.inertial else DRIFT
@@ -312,6 +316,9 @@ class Compensator:
         ``now`` is when its command takes effect, on the clock of sent commands [s]; None if delays
         are not compensated.
         """
+        if len(measured.position) != self._problem.dimension:
+            allowed = f'{self._problem.dimension} numbers'
+            raise BadInput('odometry.position', measured.position.tolist(), allowed)
         odometry = along_the_air(measured) if self._sideslip else measured
         if not self.history.sent and not self._problem.inertial:
             self._begin(odometry)

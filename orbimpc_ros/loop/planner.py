@@ -30,7 +30,7 @@ from orbimpc_ros.loop.fallback import (
 from orbimpc_ros.loop.goal.motion import GoalMotion, Route
 from orbimpc_ros.loop.intercept import FARTHEST, MEMORY, Intercept, Interception, InterceptQuery
 from orbimpc_ros.loop.traffic import ObservedTraffic, nearest, reserving
-from orbimpc_ros.mpc.arrays import Array, ByContent, number, sealed, word
+from orbimpc_ros.mpc.arrays import Array, ByContent, frozen, number, sealed, word
 from orbimpc_ros.mpc.check import command_violations, flaw, holds
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.outcome import Cause, Fallback, Reason, Status
@@ -196,7 +196,9 @@ class Planner:
         if reserve and not capture_radius:
             self._still = tuple(map(MovingObstacle.drifting, problem.obstacles))
             problem = replace(problem, obstacles=())
-        self.problem, self._safe_kind = problem, word(safe, 'safe', SAFE_COMMANDS)
+        unfit = 'loiter' if problem.inertial else 'hover'
+        kinds = [kind for kind in SAFE_COMMANDS if kind != unfit]
+        self.problem, self._safe_kind = problem, word(safe, 'safe', kinds)
         self._compensator = Compensator(
             problem,
             response,
@@ -206,6 +208,9 @@ class Planner:
             sideslip=sideslip,
         )
         self._lags, self._shrinking = self._compensator.response.lags, shrinking
+        for name, each in (('odom_timeout', odom_timeout), ('goal_timeout', goal_timeout)):
+            if not each > 0.0:
+                raise BadInput(name, each, 'a duration above 0 s')
         self._timeouts = odom_timeout, goal_timeout
         self._counted = np.arange(1.0, problem.horizon + 1.0)
         self._projection = projection
@@ -399,8 +404,10 @@ class Planner:
         motion, held, catch = goal if hasattr(goal, 'at') else None, '', None
         if isinstance(motion, Route):
             places, held = self._paced(motion, odometry, ends)
+        elif motion is None:
+            places = frozen(goal, (len(ends), self.problem.dimension), 'goal')
         else:
-            places = np.array(goal if motion is None else motion.at(ends), dtype=float)
+            places = np.array(motion.at(ends), dtype=float)
         places.setflags(write=False)
         goals, shortened = clamp_goal(self.problem, state, places)
         task = replace(task, goals=goals)
