@@ -27,8 +27,7 @@ def folder(tmp_path):
     """Return a bag of five messages."""
     path = tmp_path / 'run'
     with closing(BagWriter(path, TOPICS, {'parameters': 'a: 1\n'})) as writer:
-        for k in range(5):
-            stamp = 1_000_000_000 * (k + 1)
+        for k, stamp in enumerate(range(10**9, 6 * 10**9, 10**9)):
             writer.write('/captured', stamp, serialised(k == 4), stamp + 7)
     return path
 
@@ -108,7 +107,7 @@ def test_unknown_topics_and_types_are_not_decoded(tmp_path):
     listed = (Topic('/captured', CLOCK), Topic('/elsewhere', BOOL), Topic('/uav1/captured', BOOL))
     with closing(BagWriter(tmp_path / 'run', listed, {})) as writer:
         for topic in listed:
-            writer.write(topic.name, 1, serialised(True))
+            writer.write(topic.name, 1, serialised(True), 1)
     assert [m.topic for m in read(tmp_path / 'run')] == ['/uav1/captured']
 
 
@@ -189,6 +188,6 @@ def test_what_is_no_bag_is_refused(tmp_path):
 def test_a_message_that_does_not_decode_is_refused(tmp_path, data):
     goal = Topic('/goal', 'geometry_msgs/msg/PoseStamped')
     with closing(BagWriter(tmp_path / 'run', (goal,), {})) as writer:
-        writer.write('/goal', 1, data)
+        writer.write('/goal', 1, data, 1)
     with pytest.raises(BadInput, match='unreadable'):
         bags.of_vehicle(tmp_path / 'run', '', {'goal'}, needed=())

@@ -271,8 +271,8 @@ class BagWriter:
     def __init__(self, folder: Path, listed: Sequence[Topic], notes: Mapping[str, str]) -> None:
         folder.mkdir(parents=True)
         self._file = folder / f'{folder.name}.mcap'
-        self._described = {topic.name: _described(topic) for topic in listed}
-        self.counts = dict.fromkeys(self._described, 0)
+        self.counts = {topic.name: 0 for topic in listed}
+        self._described = dict[str, dict[str, Any]]()  # metadata of topics, by name
         self._first, self._last = LATEST, 0
         self._stream = self._file.open('wb')
         self._writer = McapWriter(
@@ -281,27 +281,32 @@ class BagWriter:
         self._writer.start(profile='ros2', library='orbimpc_ros')
         self._writer.add_metadata(NOTES, dict(notes))
         self._channels = dict[str, int]()
-        for name, about in self._described.items():
-            text, _ = store().generate_msgdef(about['type'], ros_version=2)
-            schema = self._writer.register_schema(about['type'], 'ros2msg', text.encode())
-            metadata = {
-                'offered_qos_profiles': json.dumps(about['offered_qos_profiles']),
-                'topic_type_hash': about['type_description_hash'],
+        for name, kind, latched in listed:
+            qos = [QOS | {'durability': 'transient_local' if latched else 'volatile'}]
+            text, _ = store().generate_msgdef(kind, ros_version=2)
+            schema, digest = text.encode(), store().hash_rihs01(kind)
+            about = {'offered_qos_profiles': json.dumps(qos), 'topic_type_hash': digest}
+            number = self._writer.register_schema(kind, 'ros2msg', schema)
+            self._channels[name] = self._writer.register_channel(name, 'cdr', number, about)
+            self._described[name] = {
+                'name': name,
+                'type': kind,
+                'serialization_format': 'cdr',
+                'offered_qos_profiles': qos,
+                'type_description_hash': digest,
             }
-            self._channels[name] = self._writer.register_channel(name, 'cdr', schema, metadata)
 
-    def write(self, topic: str, stamp: int, data: bytes, sent: int | None = None) -> None:
+    def write(self, topic: str, stamp: int, data: bytes, sent: int) -> None:
         """Append a serialised message.
 
         Args:
             topic: its name.
             stamp: log time [ns].
             data: the message, serialised as CDR.
-            sent: time of sending [ns], if known.
+            sent: time of sending [ns].
         """
         self._first, self._last = min(self._first, stamp), max(self._last, stamp)
         self.counts[topic] += 1
-        sent = stamp if sent is None else sent
         self._writer.add_message(self._channels[topic], stamp, data, sent, self.counts[topic])
         self._stream.flush()  # complete chunks survive even if the recorder is killed
 
@@ -331,15 +336,3 @@ class BagWriter:
         }
         content = json.dumps({'rosbag2_bagfile_information': about}, indent=1)
         self._file.with_name('metadata.yaml').write_text(content)  # JSON is YAML, too
-
-
-def _described(topic: Topic) -> dict[str, Any]:
-    """Return the metadata of a topic."""
-    durability = 'transient_local' if topic.latched else 'volatile'
-    return {
-        'name': topic.name,
-        'type': topic.type,
-        'serialization_format': 'cdr',
-        'offered_qos_profiles': [QOS | {'durability': durability}],
-        'type_description_hash': store().hash_rihs01(topic.type),
-    }
