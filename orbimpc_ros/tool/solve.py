@@ -17,7 +17,7 @@ from orbimpc_ros.mpc.errors import BadInput, Infeasible
 from orbimpc_ros.mpc.plan import Plan, command_of
 from orbimpc_ros.mpc.problem.case import Case, case_of
 from orbimpc_ros.mpc.proof import document
-from orbimpc_ros.mpc.proof.document import WORD, Document, held_in_time, text_of
+from orbimpc_ros.mpc.proof.document import WORD, held_in_time, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of
 from orbimpc_ros.mpc.solve.solver import Deadline, Solver
 from orbimpc_ros.tool import files
@@ -44,7 +44,8 @@ def run(
         refuted = held_in_time(lambda late: refutation_of(case, 1, late), late.clock, late.end)
         if refuted is None:
             raise Infeasible(f'{error}; {WORD}') from None
-        _write(certificate, refuted)
+        if certificate:
+            Path(certificate).write_text(text_of(refuted) + '\n')
         raise
     values = answer(case, plan, 1e3 * (time.perf_counter() - begin))
     if as_json or not (sys.stdout and sys.stdout.isatty()):
@@ -52,13 +53,9 @@ def run(
     else:
         print(table(case, plan, values))
     if certificate:
-        _write(certificate, document.certificate_of(*case.parts, plan.proof))
+        proved = document.certificate_of(*case.parts, plan.proof)
+        Path(certificate).write_text(text_of(proved) + '\n')
     return 0
-
-
-def _write(file: str | None, proof: Document) -> None:
-    if file:
-        Path(file).write_text(text_of(proof) + '\n')
 
 
 def answer(case: Case, plan: Plan, solve_time_ms: float) -> dict[str, Any]:
