@@ -213,6 +213,7 @@ def test_orders_are_of_a_twist_alone_or_with_the_force_of_its_stamp(axis):
     for speed, turn in ((0.0, 0.0), (2.0, math.pi), (-1e-4, -math.pi)):  # up to the limits
         again = messages.twist_message(first, speed, turn * np.eye(3)[1])
         assert orders.take('cmd_vel', again, NOW).fraction == pytest.approx(speed / 2.0)
+    assert orders.take('cmd_thrust', messages.wrench_message(first, 1.0), NOW) is None
     with pytest.raises(BadInput, match=rf'twist\.linear\.{axis}'):
         orders.take('cmd_vel', messages.twist_message(first, 2.1, rate), NOW)
     own = {'dimension': 3, 'translation_order': 2, 'forward': 2.0, 'mass': 3.0}

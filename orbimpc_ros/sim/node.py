@@ -397,9 +397,7 @@ class Orders:
 
     def __init__(self, settings: SimSettings) -> None:
         self._settings = settings
-        zero: Array = np.zeros(settings.model.rates)
-        self._turn = -1, zero  # a stamp [ns], and a body rate [rad/s]
-        self._push = -2, 0.0  # a stamp [ns], and a share of full speed or thrust
+        self._latest: dict[str, Order] = {}  # what each topic said last
 
     def take(self, topic: str, message: Any, now: int) -> Order | None:
         """Take in ``cmd_vel`` or ``cmd_thrust``, and return the command that it completes, if any.
@@ -413,27 +411,28 @@ class Orders:
             BadInput: the stamp, a number or a range is not acceptable.
         """
         settings, frames = self._settings, self._settings.frames
-        thrusts, full, culprit, unit = False, settings.forward, 'twist.linear', 'm/s'
+        pushing, full, culprit, unit = 'cmd_vel', settings.forward, 'twist.linear', 'm/s'
         if settings.translation_order == 2:
-            thrusts, full, culprit, unit = True, settings.mass * full, 'wrench.force', 'N'
+            pushing, full, culprit, unit = 'cmd_thrust', settings.mass * full, 'wrench.force', 'N'
         stamp, push, turn = read_command(message, frames)
         if stamp > now + AHEAD * SECOND:
             ahead = (stamp - now) / SECOND
             raise BadInput('header.stamp', f'{ahead:g} s in the future', f'at most {AHEAD:g} s')
+        body_rate = turn[-settings.model.rates :]
         if topic == 'cmd_vel':
-            body_rate = turn[-settings.model.rates :]
             fastest = math.pi / settings.model.step  # a faster one would look slower in steps
             if float(np.linalg.norm(body_rate)) > fastest * (1.0 + SLACK):
                 allowed = f'at most pi / step = {fastest:.6g} rad/s'
                 raise BadInput('twist.angular', body_rate.tolist(), allowed)
-            self._turn = stamp, body_rate
-        if (topic == 'cmd_thrust') == thrusts:
-            if not -SLACK <= push / full <= 1.0 + SLACK:
-                allowed = f'0 to full speed or thrust, {full:g} {unit}'
-                raise BadInput(f'{culprit}.{frames.thrust_axis}', push, allowed)
-            self._push = stamp, push / full
-        (turned, rate), (pushed, share) = self._turn, self._push
-        return Order(turned, share, rate) if turned == pushed else None
+        if topic == pushing and not -SLACK <= push / full <= 1.0 + SLACK:
+            allowed = f'0 to full speed or thrust, {full:g} {unit}'
+            raise BadInput(f'{culprit}.{frames.thrust_axis}', push, allowed)
+        self._latest[topic] = Order(stamp, push / full, body_rate)
+        turned, pushed = (self._latest.get(each) for each in ('cmd_vel', pushing))
+        stray = topic not in ('cmd_vel', pushing)  # a thrust at translation order 1
+        if stray or turned is None or pushed is None or turned.stamp != pushed.stamp:
+            return None
+        return turned._replace(fraction=pushed.fraction)
 
 
 main = partial(run, SimNode)
