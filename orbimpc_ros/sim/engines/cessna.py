@@ -48,49 +48,36 @@ class Cessna(Engine):
         self, start: Vehicle, forward: float, gust: float, seed: int, _rest: Array
     ) -> None:
         jsbsim.FGJSBBase().debug_lvl = 0  # of all later instances: no banner
-        self._fdm = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
-        self._fdm.load_model('c172x')
-        self._fdm.set_dt(self.tick)
+        fdm = self._fdm = jsbsim.FGFDMExec(jsbsim.get_default_root_dir())
+        fdm.load_model('c172x')
+        fdm.set_dt(self.tick)
         self._forward, speed = forward, forward * start.fraction
         self._place, wind, axis = start.position, start.wind, start.attitude[:, 0]
         east, north = speed * axis + wind
-        self._set(
-            {
-                'simulation/randomseed': seed,
-                'ic/h-agl-ft': HEIGHT,
-                'ic/lat-geod-deg': 0.0,
-                'ic/long-gc-deg': 0.0,
-                'ic/psi-true-rad': (0.5 * math.pi - math.atan2(axis[1], axis[0])) % (2.0 * math.pi),
-                'ic/vw-mag-fps': float(np.linalg.norm(wind)) / FOOT,
-                'ic/vw-dir-deg': math.degrees(math.atan2(*wind)) % 360.0,  # blows towards
-                'ic/ve-fps': east / FOOT,
-                'ic/vn-fps': north / FOOT,
-                'fcs/throttle-cmd-norm': float(np.interp(speed, SPEEDS, THROTTLES)),
-            }
-        )
-        self._fdm.run_ic()
-        self._set({'propulsion/set-running': -1.0})
+        fdm['simulation/randomseed'] = seed
+        fdm['ic/h-agl-ft'] = HEIGHT
+        fdm['ic/lat-geod-deg'] = fdm['ic/long-gc-deg'] = 0.0
+        fdm['ic/psi-true-rad'] = (0.5 * math.pi - math.atan2(axis[1], axis[0])) % (2.0 * math.pi)
+        fdm['ic/vw-mag-fps'] = float(np.linalg.norm(wind)) / FOOT
+        fdm['ic/vw-dir-deg'] = math.degrees(math.atan2(*wind)) % 360.0  # blows towards
+        fdm['ic/ve-fps'] = east / FOOT
+        fdm['ic/vn-fps'] = north / FOOT
+        fdm['fcs/throttle-cmd-norm'] = float(np.interp(speed, SPEEDS, THROTTLES))
+        fdm.run_ic()
+        fdm['propulsion/set-running'] = -1.0
         try:
-            self._set({'simulation/do_simple_trim': 1.0})
+            fdm['simulation/do_simple_trim'] = 1.0
         except jsbsim.TrimFailureError as error:
             raise EngineFailure(f'{self.name}: no level flight at {speed:g} m/s') from error
         # After trimming: turbulence, and both autopilots.
-        self._set(
-            {
-                'atmosphere/turb-type': MILITARY,
-                'atmosphere/turbulence/milspec/severity': LIGHT,
-                'atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps': 10.0 * gust / FOOT,
-                'ap/altitude_setpoint': HEIGHT,
-                'ap/altitude_hold': 1.0,
-                'ap/autopilot-roll-on': 1.0,
-                'ap/roll-attitude-mode': 1.0,
-                'guidance/heading-selector-switch': 1.0,
-            }
-        )
-
-    def _set(self, values: dict[str, float]) -> None:
-        for name, value in values.items():
-            self._fdm[name] = value
+        fdm['atmosphere/turb-type'] = MILITARY
+        fdm['atmosphere/turbulence/milspec/severity'] = LIGHT
+        fdm['atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps'] = 10.0 * gust / FOOT
+        fdm['ap/altitude_setpoint'] = HEIGHT
+        fdm['ap/altitude_hold'] = 1.0
+        fdm['ap/autopilot-roll-on'] = 1.0
+        fdm['ap/roll-attitude-mode'] = 1.0
+        fdm['guidance/heading-selector-switch'] = 1.0
 
     def steer_to(self, point: Array) -> None:
         """Let the aircraft's own guidance fly to a waypoint and ignore commanded turns.
@@ -99,13 +86,9 @@ class Cessna(Engine):
             point: east and north, shape (2,) [m].
         """
         east, north = np.asarray(point, dtype=float) - self._place
-        self._set(
-            {
-                'guidance/heading-selector-switch': 0.0,
-                'guidance/target_wp_longitude_rad': east / EAST,
-                'guidance/target_wp_latitude_rad': north / NORTH,
-            }
-        )
+        self._fdm['guidance/heading-selector-switch'] = 0.0
+        self._fdm['guidance/target_wp_longitude_rad'] = east / EAST
+        self._fdm['guidance/target_wp_latitude_rad'] = north / NORTH
 
     def fly(self, fraction: float, rate: Array) -> None:
         """Fly for one tick at a commanded airspeed; see :meth:`Engine.fly`."""
