@@ -19,6 +19,7 @@ import numpy as np
 from orbimpc_ros.loop.capture import closest_approach
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.errors import BadInput
+from orbimpc_ros.mpc.plan import interpolated
 from orbimpc_ros.ros.messages import Frames, Stamp, read_odometry, read_sighting
 from orbimpc_ros.ros.parameters.planner import planner_settings
 from orbimpc_ros.sim.world import touched_in_words
@@ -78,7 +79,7 @@ class History:
         the vehicle and of the rope, (K, 3) [m].
         """
         samples = np.column_stack([self.times, self.positions, self.ropes])
-        rows = _interpolated(steps, np.arange(len(samples)), samples)
+        rows = interpolated(steps, np.arange(0.0, len(samples)), samples)
         flown, swung = rows[:, 1:4], rows[:, 4:]
         return rows[:, 0], np.linalg.norm(flown - swung, axis=1), flown, swung
 
@@ -188,12 +189,7 @@ def _seen(at: Array, sighted: Mapping[str, Array], longest: float) -> Array:
     times, places = sighted['time'], sighted['position']
     held = np.flatnonzero(np.diff(times) > longest)
     times = np.insert(times, held + 1, np.nextafter(times[held + 1], -np.inf))
-    return _interpolated(at, times, np.insert(places, held + 1, places[held], axis=0))
-
-
-def _interpolated(at: Any, places: Any, rows: Array, outside: float | None = None) -> Array:
-    """Return the rows at ``places``, interpolated linearly ``at`` others; ``outside`` beyond."""
-    return np.column_stack([np.interp(at, places, x, outside, outside) for x in rows.T])
+    return interpolated(at, times, np.insert(places, held + 1, places[held], axis=0))
 
 
 def separations(flown: Mapping[str, History]) -> tuple[Array, dict[tuple[str, str], Array]]:
@@ -204,10 +200,12 @@ def separations(flown: Mapping[str, History]) -> tuple[Array, dict[tuple[str, st
     times = np.unique(np.concatenate([each.times for each in flown.values()]))
     distances = {}
     for pair in itertools.combinations(flown, 2):
-        both = (flown[name] for name in pair)
-        paths = (_interpolated(times, each.times, each.positions, np.nan) for each in both)
+        both = [flown[name] for name in pair]
+        paths = (interpolated(times, each.times, each.positions) for each in both)
         apart, _ = closest_approach(*((path[:-1], path[1:]) for path in paths))
-        distances[pair] = np.nan_to_num(apart, nan=np.inf)
+        for each in both:
+            apart[(times[:-1] < each.times[0]) | (times[1:] > each.times[-1])] = np.inf
+        distances[pair] = apart
     return times, distances
 
 
