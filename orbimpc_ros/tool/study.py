@@ -437,12 +437,9 @@ def report(draws: Draws, rows: Rows) -> str:
     """Return the report in Markdown: a table with a row for each controller."""
     table = [_row(draws, name, rows) for name in rows]
     cells = table[0], ['---'] * len(table[0]), *(each.values() for each in table)
-    lines = [
-        *(f'# {draws.name}: {draws.about}', ''),
-        *(f'{len(next(iter(rows.values())))} flights by each controller.', ''),
-        *(f'| {" | ".join(each)} |' for each in cells),
-    ]
-    return '\n'.join(lines) + '\n'
+    count = len(next(iter(rows.values())))
+    title = f'# {draws.name}: {draws.about}\n\n{count} flights by each controller.\n\n'
+    return title + ''.join(f'| {" | ".join(each)} |\n' for each in cells)
 
 
 def times_of(draws: Draws, rows: Sequence[Row]) -> Array:
