@@ -179,19 +179,17 @@ def touched_in_words(numbers: Collection[int], boxes: int) -> str:
 
 def outcome(flight: Flight) -> str:
     """Describe how a flight has ended."""
-    done = '' if flight.captured else 'not '
     if flight.touched:
         return f'touched {touched_in_words(flight.touched, len(flight.settings.boxes))}'
     if flight.settings.finish == 'arrival':
         where = f'{flight.distance:.2e} m from the goal at {flight.speed:.2e} m/s'
-        return f'{done}arrived: {where}'
-    if not flight.captured and flight.near:
+        return f'{"" if flight.captured else "not "}arrived: {where}'
+    if flight.captured:
+        return f'captured at t = {flight.missed_at:.2f} s, {flight.miss:.3f} m from the goal'
+    if flight.near:
         return f'not captured: {flight.miss:.3f} m from the goal, outside the cone of approach'
-    if flight.vehicle.lost:
-        return 'not captured: another part of the vehicle touched the goal first'
-    if not flight.captured:
-        return 'not captured'
-    return f'captured at t = {flight.missed_at:.2f} s, {flight.miss:.3f} m from the goal'
+    struck = ': another part of the vehicle touched the goal first'
+    return f'not captured{struck if flight.vehicle.lost else ""}'
 
 
 def touched(
