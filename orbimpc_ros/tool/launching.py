@@ -31,11 +31,10 @@ from launch_ros.actions import Node
 from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.ros.topics import AUTOPILOTS
-from orbimpc_ros.sim.fleet import vehicles
+from orbimpc_ros.sim.fleet import FLEETS, vehicles
 
 RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # topics whose recording starts a flight
 AUTO, SWITCH = 'auto', ('true', 'false')
-SEVERAL = ('crossing', 'fleet')  # parameter files for several vehicles
 Values = Mapping[str, object]
 
 
@@ -61,7 +60,7 @@ def fleet() -> LaunchDescription:
     return _described(
         partial(_simulated, True),
         *_common('config/fleet.yaml', 'the whole fleet'),
-        _argument('vehicles', '4', 'number of vehicles'),
+        _argument('vehicles', str(FLEETS['fleet']), 'number of vehicles'),
         _argument('seed', '0', 'seed of the ropes'),
     )
 
@@ -95,10 +94,9 @@ def _simulated(several: bool, context: LaunchContext) -> list[Action]:
     drawn = vehicles('fleet', int(config['vehicles']), int(config['seed'])) if several else {'': {}}
     planners, sims = [], []
     for namespace, own in drawn.items():
-        where = _outer(config) + namespace
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in own.items()}
-        planners.append(_node(config, 'planner', where, planner))
-        sims.append(_node(config, 'sim', where, {**common, **values}))
+        planners.append(_node(config, 'planner', namespace, planner))
+        sims.append(_node(config, 'sim', namespace, {**common, **values}))
     command = ['ros2', 'bag', 'record', '--storage', 'mcap', '--all']
     recorders = [ExecuteProcess(cmd=command, output='screen')] if recorded else []
     return [*recorders, *planners, *sims, *_ending(sims, [*planners, *recorders])]
@@ -108,7 +106,7 @@ def _pilot(context: LaunchContext) -> list[Action]:
     config = context.launch_configurations
     _settled(config, config['autopilot'])
     topics, dry_run = AUTOPILOTS[config['autopilot']], config['dry_run'] == 'true'
-    planner = _node(config, 'planner', _outer(config), {'dry_run': dry_run}, [*topics.items()])
+    planner = _node(config, 'planner', '', {'dry_run': dry_run}, [*topics.items()])
     return [planner, *_ending([], [planner])]
 
 
@@ -119,10 +117,6 @@ def _settled(config: dict[str, str], default: str) -> None:
         raise BadInput.stating(file, 'no such file', 'params_file must name a parameter file')
 
 
-def _outer(config: Mapping[str, str]) -> str:
-    return f'/{config["namespace"].strip("/")}'.rstrip('/')
-
-
 def _node(
     config: Mapping[str, str],
     name: str,
@@ -130,9 +124,10 @@ def _node(
     parameters: Values,
     remappings: Sequence[tuple[str, str]] = (),
 ) -> Node:
+    outer = f'/{config["namespace"].strip("/")}'.rstrip('/')
     return Node(
         package='orbimpc_ros',
-        namespace=namespace,
+        namespace=outer + namespace,
         executable=name,
         name=name,
         output='screen',
@@ -195,4 +190,4 @@ def _configs() -> Path:
 
 def _scenarios() -> list[str]:
     """Return the names of the parameter files of a single simulated vehicle."""
-    return sorted({file.stem for file in _configs().glob('*.yaml')} - {*AUTOPILOTS, *SEVERAL})
+    return sorted({file.stem for file in _configs().glob('*.yaml')} - {*AUTOPILOTS, *FLEETS})
