@@ -60,7 +60,7 @@ def run(
     comparisons = list(compared(answers, recording.settings))
     if tick is not None:
         comparisons = [each for each in comparisons if each.tick == tick]
-        _show(answers[-1], comparisons)
+        _show(tick, answers[-1], comparisons)
     else:
         received = sum(each.topic != CLOCK for each in recording.inputs)
         inputs = f'{received}, {sum(len(each.refusals) for each in answers)} refused'
@@ -89,9 +89,9 @@ def _sum_up(replayed: str, inputs: str, comparisons: Sequence[Comparison]) -> No
     print(history.lines(rows))
 
 
-def _show(tick: ReplayedTick, comparisons: Sequence[Comparison]) -> None:
+def _show(number: int, tick: ReplayedTick, comparisons: Sequence[Comparison]) -> None:
     """Print one tick, recorded and replayed side by side."""
-    title = f'tick {comparisons[0].tick} at {comparisons[0].time:.3f} s'
+    title = f'tick {number} at {tick.recorded.stamp / SECOND:.3f} s'
     width = max(20, len(title) + 2)  # of a date more than of simulated time
     print(f'{title:<{width}}{"recorded":<26}replayed')
     for each in comparisons:
