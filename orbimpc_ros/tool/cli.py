@@ -136,7 +136,6 @@ SCENARIOS = (
     *('servicer', 'multirotor', 'lander', 'fleet', 'crossing'),
 )
 PROJECTIONS = ('nearest', 'thrust_aligned')
-WHICH = 'a parameter file, a study file, or the name of one'
 OTHERS = 'separated by commas; all but orbitope need a clone of the repository'
 WHOSE = 'of the vehicle, such as uav1'
 PARAMS = _argument('--params', metavar='FILE', help='parameters of a bag that notes none')
@@ -187,7 +186,7 @@ COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
     )),
     'study': ('fly many random tasks and report how they end', (
         _argument('file', metavar='FILE', nargs='?', default='retrieval',
-            help=f'{WHICH} (default: %(default)s)'),
+            help='a parameter file, a study file, or the name of one (default: %(default)s)'),
         _argument('--runs', type=int, default=100, metavar='N',
             help='number of flights (default: %(default)s)'),
         _argument('--seed', type=int, default=0, metavar='N',

@@ -21,7 +21,6 @@ from orbimpc_ros.mpc.errors import BadInput
 
 LARGEST = 1 << 18  # [bytes] of a document
 MAX_NUMBER = 1e12  # rounding errors in larger squares exceed the quantities of a plan
-ALLOWED = 'a JSON or YAML mapping is needed'
 WRITABLE = 'a folder to write to is needed'
 CLONE = Path(__file__).resolve().parents[2]
 
@@ -121,7 +120,7 @@ def parse(text: str, name: str) -> Any:
         mark = getattr(error, 'problem_mark', None)
         where = f' in line {mark.line + 1}' if mark else ''
         problem = f'malformed{where} ({getattr(error, "problem", None) or error})'
-        raise BadInput.stating(name, problem, ALLOWED) from None
+        raise BadInput.stating(name, problem, 'a JSON or YAML mapping is needed') from None
     return content
 
 

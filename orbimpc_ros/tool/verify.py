@@ -28,8 +28,6 @@ from orbimpc_ros.mpc.proof import document
 from orbimpc_ros.mpc.proof.document import Document, Unproved, certificate_of, refutation, text_of
 from orbimpc_ros.mpc.solve.refute import refutation_of
 from orbimpc_ros.tool import bags, files, replay
-from orbimpc_ros.tool.files import folder_at
-from orbimpc_ros.tool.replay import Answer
 
 LARGEST = 64 << 20  # [bytes] of a certificate's file
 COST, CATCH = 'cost', 'catch'
@@ -125,7 +123,7 @@ def _published(text: bytes) -> Row:
         return Row(None, COST, outcome=FAILS, more=f': {error}')
 
 
-def _tick(number: int, then: Answer, now: Decision, out: str | None) -> Iterator[Row]:
+def _tick(number: int, then: replay.Answer, now: Decision, out: str | None) -> Iterator[Row]:
     """Certify what was claimed on a tick, by the decision of its replay."""
     bound, soonest = then.get('lower_bound'), then.get('catch_bound')
     if then.get('status') == Status.INFEASIBLE:
@@ -146,7 +144,7 @@ def _infeasible(now: Decision) -> Document:
     return refutation_of(now.infeasible)
 
 
-def _bound(then: Answer, now: Decision) -> Document:
+def _bound(then: replay.Answer, now: Decision) -> Document:
     """Return a proof of the bound published on a tick, for the problem that its inputs define."""
     plan, posed, claimed = now.plan, now.case, then['lower_bound']
     if plan is None or posed is None:
@@ -180,7 +178,7 @@ def _certified(row: Row, out: str | None, make: Callable[[], Document]) -> Row:
         return row._replace(outcome=outcome, more=f': {str(error).removeprefix(f"{NONE}: ")}')
     if out:
         name = f'tick_{row.tick:05d}{"_catch" * (row.of == CATCH)}.json'
-        (folder_at(Path(out)) / name).write_text(certificate + '\n')
+        (files.folder_at(Path(out)) / name).write_text(certificate + '\n')
     if verdict.outcome == FAILS:  # not refuted: no trajectory is known to cost less
         return verdict._replace(outcome=NONE, more=f': another search proves {verdict.proved!r}')
     return verdict

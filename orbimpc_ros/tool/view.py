@@ -124,8 +124,7 @@ def served(wanted: int | None) -> Iterator[tuple[str, str, Child]]:
     options = ['--serve-web', '--bind', HOST, '--hide-welcome-screen']
     numbers = ['--port', str(data), '--web-viewer-port', str(port)]
     with TemporaryDirectory() as place:
-        command = [program, *options, *numbers]
-        child = Child("rerun's server", command, Path(place) / 'log')
+        child = Child("rerun's server", [program, *options, *numbers], Path(place) / 'log')
         try:
             end = time.monotonic() + PATIENCE
             while _free(port) or _free(data):
