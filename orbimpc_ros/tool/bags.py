@@ -38,7 +38,6 @@ LARGEST_FILE = 1 << 30  # [bytes]
 LARGEST_RECORD = 1 << 25  # [bytes] of an MCAP file
 LATEST = 2**63  # [ns], beyond the stamps in metadata
 DIGITS = 19  # of the longest integers, stamps in nanoseconds
-FINITE = 'advanced', 'sent', 'solve_time_ms'
 ALLOWED = 'an intact rosbag2 bag of at most 1 GiB is needed'
 NEEDED = "a bag's folder, .mcap or .db3 file is needed"
 FLOWN = ('odom',), ('goal',)
@@ -81,23 +80,20 @@ def point(vector: Any) -> Array:
     return np.array([vector.x, vector.y, vector.z])
 
 
-NUMBER = int, float
-KINDS: dict[str, tuple[Any, Any]] = {
-    **dict.fromkeys(('status', 'reason', 'cause', 'fallback'), (str, None)),
-    **dict.fromkeys(('objective', 'lower_bound', 'gap'), (NUMBER, None)),
-    **dict.fromkeys(('earliest_catch', 'catch_bound', *FINITE), (NUMBER, None)),
-    **dict.fromkeys(('goal_stamps', 'goal_counts', 'traffic_stamps'), (dict, int)),
-    **dict.fromkeys(('speed_fraction', 'touched'), (list, NUMBER)),
-}  # types of the values that are read, and of what they contain
-
-
 def _is_read(name: str, value: Any) -> bool:
     """Return whether a value is one that planner or simulator publish by a name."""
-    kind, of = KINDS.get(name, (object, None))
-    if not isinstance(value, kind) or (name in FINITE and not math.isfinite(value)):
-        return False
-    parts = value.values() if kind is dict else value
-    return of is None or all(isinstance(each, of) for each in parts)
+    match name:
+        case 'status' | 'reason' | 'cause' | 'fallback':
+            return isinstance(value, str)
+        case 'objective' | 'lower_bound' | 'gap' | 'earliest_catch' | 'catch_bound':
+            return isinstance(value, (int, float))
+        case 'advanced' | 'sent' | 'solve_time_ms':
+            return isinstance(value, (int, float)) and math.isfinite(value)
+        case 'goal_stamps' | 'goal_counts' | 'traffic_stamps':
+            return isinstance(value, dict) and all(isinstance(each, int) for each in value.values())
+        case 'speed_fraction' | 'touched':
+            return isinstance(value, list) and all(isinstance(each, (int, float)) for each in value)
+    return True
 
 
 def _integer(digits: str) -> float:
