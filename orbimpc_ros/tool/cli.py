@@ -135,7 +135,6 @@ SCENARIOS = (
     *('retrieval', 'retrieval3d', 'dubins', 'spacecraft', 'fixed_wing', 'cessna', 'rope'),
     *('servicer', 'multirotor', 'lander', 'fleet', 'crossing'),
 )
-PROJECTIONS = ('nearest', 'thrust_aligned')
 OTHERS = 'separated by commas; all but orbitope need a clone of the repository'
 WHOSE = 'of the vehicle, such as uav1'
 PARAMS = _argument('--params', metavar='FILE', help='parameters of a bag that notes none')
@@ -175,7 +174,7 @@ COMMANDS: dict[str, tuple[str, tuple[Argument, ...]]] = {
     )),
     'solve': ('solve one problem from a file, print the plan', (
         _argument('file', metavar='FILE|-', help='the problem, JSON or YAML; - reads stdin'),
-        _argument('--projection', choices=PROJECTIONS, default='thrust_aligned',
+        _argument('--projection', choices=('nearest', 'thrust_aligned'), default='thrust_aligned',
             help='projection of orbitope points to rotations (default: %(default)s)'),
         _argument('--json', dest='as_json', action='store_true',
             help='print JSON with all digits (default unless on a terminal)'),
