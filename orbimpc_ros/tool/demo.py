@@ -147,7 +147,7 @@ def clearance(flown: Mapping[str, History]) -> bool:
 # --- a run
 
 
-def fly(values: Values, folder: Path, own: Mapping[str, Values] = {}) -> None:
+def fly(values: Values, folder: Path, own: Mapping[str, Values]) -> None:
     """Run planners and simulators until these are done, and record their messages.
 
     Args:

@@ -57,9 +57,8 @@ class OfflinePlanner(Core):
         clock: Callable[[], float] | None = None,
         planner: Planner | None = None,
     ) -> None:
-        chosen = planner_of(settings) if planner is None else planner
         resolve = resolving(node.rpartition('/')[0])
-        super().__init__(settings, chosen, clock=clock, resolve=resolve)
+        super().__init__(settings, planner or planner_of(settings), clock=clock, resolve=resolve)
         self._node = node
 
     @property
