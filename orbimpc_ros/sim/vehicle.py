@@ -246,5 +246,4 @@ def class_of(name: str) -> Callable[..., Engine]:
         library = str(error.name).partition('.')[0]
         hint = command_for_extra(ENGINES[name])
         raise BadInput.stating(f'vehicle {name}', f'{library} is missing', hint) from None
-    engine: Callable[..., Engine] = getattr(module, name.capitalize())
-    return engine
+    return getattr(module, name.capitalize())

@@ -99,8 +99,7 @@ def fleet(
     Raises:
         BadInput: too many vehicles, an unknown name, or a value that is not allowed.
     """
-    file = settings.config(f'{scenario}.yaml')
-    values = settings.resolve(file, [*PACED, *changes])
+    values = settings.resolve(settings.config(f'{scenario}.yaml'), [*PACED, *changes])
     if values['clock'] == 'lockstep':
         raise BadInput('clock', values['clock'], 'shared or wall: a fleet has one /clock')
     fixed = settings.named(changes) - {'seed'}
@@ -176,8 +175,7 @@ def fly(values: Values, folder: Path, own: Mapping[str, Values]) -> None:
         )
         with closing(Recorder(folder / 'bag', topics_of(namespaces), notes, names)) as recorder:
             if values['clock'] == 'shared':
-                begin = sim_settings(settings.of_sim(values)).begin
-                pacer = Pacer(recorder, begin, values['step'])
+                pacer = Pacer(recorder, sim_settings(settings.of_sim(values)).begin, values['step'])
             while not received and (flying := [name for name in sims if sims[name].poll() is None]):
                 recorder.spin(SPIN)
                 if pacer is not None:

@@ -235,8 +235,7 @@ def distance(flown: Flights) -> Panel:
     lines = {}
     for name, each in flown.items():
         times, distances, _, _ = each.at(each.steps)
-        line = times - each.times[0], np.maximum(distances, 0.1 * each.radius)
-        lines[_label(name, flown)] = line
+        lines[_label(name, flown)] = times - each.times[0], np.maximum(distances, 0.1 * each.radius)
     radius = next(iter(flown.values())).radius
     return Panel('Distance to the goal', 'm', lines, {f'within {radius:g} m': radius}, log=True)
 

@@ -264,15 +264,14 @@ class Draws:
         """Return all parameters of a flight; each random one has its own random stream."""
         values = dict(self.values)
         for name, rule in self.rules.items():
-            key = (index, zlib.crc32(name.encode()))
-            stream = np.random.SeedSequence(seed, spawn_key=key)
+            own = index, zlib.crc32(name.encode())
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=own))
             try:
-                drawn = _drawn(rule, np.random.default_rng(stream))
+                values[name] = settings.ROWS[name].typed(_drawn(rule, rng))
             except BadInput:
                 raise
             except (AttributeError, IndexError, KeyError, TypeError, ValueError):
                 raise BadInput(f'draw: {name}', rule, 'a rule of docs/recording.md') from None
-            values[name] = settings.ROWS[name].typed(drawn)
         return values
 
     @property
