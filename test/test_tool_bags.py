@@ -180,6 +180,8 @@ def test_what_is_no_bag_is_refused(tmp_path):
     (tmp_path / 'notes.txt').write_text('no bag')
     assert_refused(tmp_path / 'notes.txt', 'no bag')
     assert_refused(tmp_path, 'no file of messages')
+    (tmp_path / 'bag.mcap.zstd').write_bytes(b'')
+    assert_refused(tmp_path, 'compressed; unpack it: zstd -d <')
     (tmp_path / 'bag.db3').write_bytes(b'')
     assert_refused(tmp_path / 'bag.db3')
 

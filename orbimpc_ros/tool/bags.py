@@ -218,6 +218,10 @@ def _files(path: Path) -> list[Path]:
     else:
         raise BadInput.stating(str(path), 'no bag' if path.exists() else 'missing', NEEDED)
     if not files:
+        packed = next(path.glob('*.zstd'), None)
+        if packed:  # by ros2 bag record --compression-mode file
+            hint = f'unpack it: zstd -d < {packed} > {packed.with_suffix("")}'
+            raise BadInput.stating(str(path), 'its file is compressed', hint)
         raise BadInput.stating(str(path), 'no file of messages', NEEDED)
     for file in files:
         opened(file, LARGEST_FILE).close()

@@ -21,7 +21,7 @@ It is based (``config``) on a file in ``config/``, or at a path from the study f
 
 A parameter file without rules is a study, too: every flight draws the direction of the goal, the
 phase of its swing, the initial heading and the noise seed. If the planner compensates for lags,
-the vehicle has them.
+the vehicle has them. Without ``max_ticks`` there is time for four times the way to the goal.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ import os
 import signal
 import sys
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -295,7 +295,9 @@ def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
     content = _content(_file(name))
     values = settings.resolve(content['config'], [*map(str, content['set']), *changes])
     fixed = settings.named(changes)
-    rules = content['draw'] if content['draw'] is not None else _default_rules(values)
+    rules = content['draw']
+    if rules is None:
+        values, rules = _lasting(values, fixed), _default_rules(values)
     free = {
         parameter: rule
         for parameter, rule in rules.items()
@@ -342,6 +344,18 @@ def _content(file: Path, *above: Path) -> Values:
     below = _content(base, file.resolve(), *above)
     rules, changes = (below['draw'] or {}) | fields['draw'], below['set'] + fields['set']
     return {'about': fields['about'], 'config': below['config'], 'set': changes, 'draw': rules}
+
+
+def _lasting(values: Values, fixed: Collection[str]) -> Values:
+    """Return values with time for four times the way to the goal, unless a limit is given."""
+    most, speed = 'max_ticks', values['forward']
+    if most in fixed or values[most] != settings.ROWS[most].default:
+        return values
+    away = math.dist(values['rope.center'], values['start.position'])
+    way = away / speed if values['translation_order'] == 1 else 2.0 * math.sqrt(away / speed)
+    period = 1.0 / values['odom_rate'] if values['odom_rate'] else values['step']
+    enough = min(math.ceil(4.0 * way / period), settings.ROWS[most].high)
+    return {**values, most: max(values[most], int(enough))}
 
 
 def _default_rules(values: Values) -> dict[str, Rule]:
