@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""What others are shown of a flight: measurements, with faults from a seed, and all its messages.
+"""Messages of a flight to others: measurements, with faults from a seed, and all the rest.
 
 Faults are noise, losses, delays and wrong stamps. The random draws of a tick depend on the seed and
 the tick number only, so that runs repeat exactly, faults do not affect each other's draws, and

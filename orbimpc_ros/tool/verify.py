@@ -38,7 +38,7 @@ class Refuted(OrbimpcError):
     """A claim is wrong; the message tells why."""
 
 
-class Row(NamedTuple):
+class Line(NamedTuple):
     """The verdict on a bound."""
 
     tick: int | None  # its number; None for a published certificate
@@ -72,7 +72,7 @@ def run(path: str, problem: str | None, **of_bag: Any) -> int:
     return 1 if counts[FAILS] else 0
 
 
-def _file(path: Path, problem: str | None) -> Row:
+def _file(path: Path, problem: str | None) -> Line:
     try:
         with files.opened(path, LARGEST) as stream:
             certificate = document.parsed(stream.read())
@@ -94,17 +94,17 @@ def _is_of(proof: Any, case: Case) -> bool:
     return {name: (unlimited | proof).get(name) for name in unlimited | claim} == unlimited | claim
 
 
-def _verified(tick: int | None, certificate: Any) -> Row:
+def _verified(tick: int | None, certificate: Any) -> Line:
     verdict = document.verified(certificate)
     catch = 'radius' in certificate.get('refuted', ())
     more = f', within {certificate["refuted"]["radius"]!r} m' if catch else ''
     outcome, of = HOLDS if verdict.holds else FAILS, CATCH if catch else COST
-    return Row(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, more)
+    return Line(tick, of, verdict.claimed, verdict.proved, verdict.leaves, outcome, more)
 
 
 def _bag(
     path: Path, namespace: str, params: str | None, tick: int | None, out: str | None
-) -> Iterator[Row]:
+) -> Iterator[Line]:
     if tick is None:
         for message in bags.of_vehicle(path, namespace, {'certificate'}, needed=()):
             yield _published(bytes(message.content.data))
@@ -115,27 +115,27 @@ def _bag(
             yield from _tick(number, each.recorded.answer, each.decision, out)
 
 
-def _published(text: bytes) -> Row:
+def _published(text: bytes) -> Line:
     """Verify a certificate that a planner published, without solving again."""
     try:
         return _verified(None, document.parsed(text))
     except document.Refused as error:
-        return Row(None, COST, outcome=FAILS, more=f': {error}')
+        return Line(None, COST, outcome=FAILS, more=f': {error}')
 
 
-def _tick(number: int, then: replay.Answer, now: Decision, out: str | None) -> Iterator[Row]:
+def _tick(number: int, then: replay.Answer, now: Decision, out: str | None) -> Iterator[Line]:
     """Certify what was claimed on a tick, by the decision of its replay."""
     bound, soonest = then.get('lower_bound'), then.get('catch_bound')
     if then.get('status') == Status.INFEASIBLE:
-        yield _certified(Row(number, COST, math.inf), out, lambda: _infeasible(now))
+        yield _certified(Line(number, COST, math.inf), out, lambda: _infeasible(now))
     elif bound is not None and bound > 0.0:
-        yield _certified(Row(number, COST, bound), out, lambda: _bound(then, now))
+        yield _certified(Line(number, COST, bound), out, lambda: _bound(then, now))
     else:
-        yield Row(number, COST, bound)
+        yield Line(number, COST, bound)
     if soonest is not None and math.isfinite(soonest):
         catch = now.catch
         if catch is None or steps_before(soonest, catch.sought.problem.step):
-            yield _certified(Row(number, CATCH, soonest), out, lambda: _no_catch(soonest, now))
+            yield _certified(Line(number, CATCH, soonest), out, lambda: _no_catch(soonest, now))
 
 
 def _infeasible(now: Decision) -> Document:
@@ -168,7 +168,7 @@ def _no_catch(claimed: float, now: Decision) -> Document:
     return refutation_of(catch.sought, steps_before(claimed, catch.sought.problem.step))
 
 
-def _certified(row: Row, out: str | None, make: Callable[[], Document]) -> Row:
+def _certified(row: Line, out: str | None, make: Callable[[], Document]) -> Line:
     """Return the verdict on a claim by making and verifying its certificate."""
     try:
         certificate = text_of(make())

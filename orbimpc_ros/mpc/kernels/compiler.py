@@ -1,5 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""How numba compiles this package: parts linked into what calls them, code kept between processes.
+"""Compiling by numba: parts linked into what calls them, code kept between processes.
 
 This uses numba's internals, so that ``setup.py`` limits its versions.
 """
