@@ -177,10 +177,7 @@ def _begin(terms, start, held, force, x, work):
 
     Returns the dual function there, relative to the cost of ``start``: a lower bound.
     """
-    for k in range(len(x)):
-        for i in range(4):
-            for j in range(4):
-                work.bases[k, i, j] = 1.0 if i == j else 0.0
+    work.bases[:] = np.eye(4)
     least = set_forces(terms, held, force)
     apply(terms, force, x)
     least += inner(force, start) - 0.5 * inner(force, x)
@@ -200,24 +197,6 @@ def _note(work, lowest, forces, held):
     copy_to(work.forces, forces)
     copy_to(work.pushes, held.lengths)
     copy_to(work.rows[: len(held.rows)], held.rows)
-
-
-@compiled
-def _keep(new, held):
-    """Hold the multipliers of the last projection."""
-    copy_to(held.orbitopes, new.orbitopes)
-    copy_to(held.lengths, new.lengths)
-    copy_to(held.rows, new.rows)
-
-
-@compiled
-def _with_lengths(quadratic, terms, x):
-    """Return the cost of x, relative to that of the start."""
-    cost = quadratic
-    for k in range(len(x)):
-        if terms.lengths[k] > 0.0:
-            cost += terms.lengths[k] * np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2 + x[k, 2] ** 2)
-    return cost
 
 
 @compiled
@@ -241,25 +220,12 @@ def stiffen(progress, near, largest):
 
 
 @compiled
-def descends(reached, merit, share, decrease):
-    """Return True if a share of a Newton step decreases the merit enough (Armijo's rule).
-
-    Args:
-        reached: the merit there.
-        merit: before the step.
-        share: of the step, 0..1.
-        decrease: predicted for the whole step.
-    """
-    return reached <= merit - DESCENT * share * decrease + ROUNDING * (1.0 + abs(merit))
-
-
-@compiled
-def _ended(terms, cost, worst, budget, limits, progress, new, work):
+def _ended(terms, quadratic, worst, budget, limits, progress, new, work):
     """Return the outcome of a minimisation, ``GOING`` if it is to continue; see `minimise`.
 
     Args:
         terms: see there, as for the others.
-        cost: of the iterate, relative to that of the start.
+        quadratic: cost of the iterate without lengths, relative to that of the start.
         worst: violation of a constraint there.
         budget: multiplications left.
         limits: see there.
@@ -268,12 +234,15 @@ def _ended(terms, cost, worst, budget, limits, progress, new, work):
         work: see there.
     """
     precision, proportion, least, rounding, _ = limits
-    numbers, counts = progress.numbers, progress.counts
+    numbers, counts, x, cost = progress.numbers, progress.counts, progress.x, quadratic
+    for k in range(len(x)):
+        if terms.lengths[k] > 0.0:
+            cost += terms.lengths[k] * np.sqrt(x[k, 0] ** 2 + x[k, 1] ** 2 + x[k, 2] ** 2)
     gap = abs(cost - numbers[BEST])
     if worst <= precision and gap <= proportion * abs(least + cost) + rounding:
         return SETTLED
     rows = terms.places, terms.normals, terms.offsets
-    if len(terms.shares) > len(progress.x) and refutes(terms.shares, rows, new.rows):
+    if len(terms.shares) > len(x) and refutes(terms.shares, rows, new.rows):
         numbers[BEST] = np.inf
         copy_to(work.rows[: len(new.rows)], new.rows)
         return REFUTED
@@ -318,19 +287,20 @@ def minimise(terms, start, held, limits, work, progress, budget):
         apply(terms, residual, direction)
         left = inner(residual, direction)
         quadratic = 0.5 * inner(held_force, start - x)
-        cost = _with_lengths(quadratic, terms, x)
         bound = quadratic + value - 0.5 * left
         if bound > numbers[BEST]:
             numbers[BEST] = bound
             _note(work, x - direction, force, new)
-        status = _ended(terms, cost, worst, budget, limits, progress, new, work)
+        status = _ended(terms, quadratic, worst, budget, limits, progress, new, work)
         if status != GOING:
             return status
         counts[STEPS] += 1
         near = min(left, numbers[PROMISED]) <= max(NOTHING, ENOUGH * moved / numbers[SIGMA])
         if near or counts[TAKEN] == STUCK:
-            if near:
-                _keep(new, held)
+            if near:  # hold the multipliers of the last projection
+                copy_to(held.orbitopes, new.orbitopes)
+                copy_to(held.lengths, new.lengths)
+                copy_to(held.rows, new.rows)
             stiffen(progress, near, largest)
             value, moved, worst = project(terms, x, held, numbers[SIGMA], new, force, work)
             continue
@@ -349,7 +319,8 @@ def minimise(terms, start, held, limits, work, progress, budget):
             value, moved, worst = project(terms, trial, held, numbers[SIGMA], new, force, work)
             reached = quadratic + share * (pull + 0.5 * share * bend) + value
             reached -= 0.5 * moved / numbers[SIGMA]
-            if descends(reached, merit, share, numbers[PROMISED]):
+            enough = DESCENT * share * numbers[PROMISED]  # Armijo's rule
+            if reached <= merit - enough + ROUNDING * (1.0 + abs(merit)):
                 break
             share *= 0.5
         copy_to(x, trial)

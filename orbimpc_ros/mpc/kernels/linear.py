@@ -7,7 +7,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled, vectorised
 
-SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry counts as zero
+SINGULAR = 1e-13  # a pivot no larger than this share of its diagonal entry counts as zero, and NaN
 DIAGONAL = 1e-32  # squared relative norm of negligible off-diagonal entries
 SWEEPS = 12
 REFUTED = 1e-9  # least value of a proof of infeasibility, relative to the terms that cancel
@@ -68,7 +68,7 @@ def set_basis(by):
 
 
 @vectorised
-def _factorise(matrix, count, least):
+def _factorise(matrix, count):
     """Factorise the lower triangle by Cholesky, with inverted diagonal; return False if singular.
 
     It takes two rows and columns at a time, so that every loaded number serves two sums.
@@ -76,7 +76,6 @@ def _factorise(matrix, count, least):
     Args:
         matrix: symmetric, its lower triangle given, shape (count, count) at least.
         count: number of its rows.
-        least: share of its diagonal entry that a pivot must exceed; NaN does not.
     """
     for i in range(0, count - 1, 2):
         for j in range(0, i, 2):
@@ -98,18 +97,18 @@ def _factorise(matrix, count, least):
             a -= upper * upper
             c -= lower * upper
             d -= lower * lower
-        if not a > least * matrix[i, i]:
+        if not a > SINGULAR * matrix[i, i]:
             return False
         matrix[i, i] = 1.0 / np.sqrt(a)
         matrix[i + 1, i] = c = c * matrix[i, i]
-        if not d - c * c > least * matrix[i + 1, i + 1]:
+        if not d - c * c > SINGULAR * matrix[i + 1, i + 1]:
             return False
         matrix[i + 1, i + 1] = 1.0 / np.sqrt(d - c * c)
-    return count % 2 == 0 or extend_factor(matrix, matrix, count - 1, count, least)
+    return count % 2 == 0 or extend_factor(matrix, matrix, count - 1, count)
 
 
 @vectorised
-def extend_factor(matrix, factor, first, count, least):
+def extend_factor(matrix, factor, first, count):
     """Set the rows of Cholesky's factor from ``first`` on, diagonal inverted; False if singular.
 
     Rows before it are kept: an additional row costs no more than a solve.
@@ -119,7 +118,6 @@ def extend_factor(matrix, factor, first, count, least):
         factor: of the same shape; may be the matrix itself.
         first: index of the first row to set.
         count: number of its rows.
-        least: share of its diagonal entry that a pivot must exceed; NaN does not.
     """
     for i in range(first, count):
         for j in range(i):
@@ -130,7 +128,7 @@ def extend_factor(matrix, factor, first, count, least):
         value = matrix[i, i]
         for k in range(i):
             value -= factor[i, k] * factor[i, k]
-        if not value > least * matrix[i, i]:
+        if not value > SINGULAR * matrix[i, i]:
             return False
         factor[i, i] = 1.0 / np.sqrt(value)
     return True
@@ -170,7 +168,7 @@ def solve_spd(matrix, right, count):
         right: shape (count,) at least; becomes the solution.
         count: number of rows of the system.
     """
-    if not _factorise(matrix, count, SINGULAR):
+    if not _factorise(matrix, count):
         return False
     solve_factored(matrix, right, count)
     return True
@@ -191,7 +189,7 @@ def invert_spd(matrix, inverse):
         -inf if the matrix is not positive definite; the inverse is then not set.
     """
     count, size = len(matrix), 0.0
-    if not _factorise(matrix, count, SINGULAR):
+    if not _factorise(matrix, count):
         return -np.inf
     inverse[:], row = 0.0, np.empty(count)
     for i in range(count):  # invert the factor in place, row by row

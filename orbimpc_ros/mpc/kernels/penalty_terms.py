@@ -22,13 +22,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import (
-    SINGULAR,
-    copy_to,
-    diagonalise,
-    extend_factor,
-    set_basis,
-)
+from orbimpc_ros.mpc.kernels.linear import copy_to, diagonalise, extend_factor, set_basis
 
 NEGLIGIBLE = 1e-12  # share of sigma below which a part of the Hessian is left out
 ROOM = 13  # rank-one parts of the Hessian for a step: ten of the orbitope, three of the length
@@ -188,30 +182,6 @@ def _add_adjoint(m, scale, out):
 
 
 @compiled
-def _set_pair(basis, i, j, out):
-    """Set K* of the unit symmetric matrix that two columns of a basis span.
-
-    Args:
-        basis: orthonormal columns, shape (4, 4).
-        i: index of one column.
-        j: index of the other, or i.
-        out: to be set, shape (9,).
-    """
-    scale = 1.0 if i == j else np.sqrt(2.0)
-    a, b, c, d = basis[0, i], basis[1, i], basis[2, i], basis[3, i]
-    p, q, r, s = basis[0, j] * scale, basis[1, j] * scale, basis[2, j] * scale, basis[3, j] * scale
-    out[0] = a * p + b * q - c * r - d * s
-    out[4] = a * p - b * q + c * r - d * s
-    out[8] = a * p - b * q - c * r + d * s
-    left, right = a * q + b * p, c * s + d * r
-    out[5], out[7] = left + right, right - left
-    left, right = a * r + c * p, b * s + d * q
-    out[6], out[2] = left + right, right - left
-    left, right = a * s + d * p, b * r + c * q
-    out[1], out[3] = left + right, right - left
-
-
-@compiled
 def set_forces(terms, held, force):
     """Set the gradient of the terms for fixed multipliers; return their value at x = 0.
 
@@ -220,10 +190,8 @@ def set_forces(terms, held, force):
         held: the multipliers.
         force: to be set, shape (n, 9).
     """
-    value = 0.0
+    value, force[:] = 0.0, 0.0
     for k in range(len(force)):
-        for c in range(9):
-            force[k, c] = 0.0
         _add_adjoint(held.orbitopes[k], -1.0, force[k])
         for i in range(4):
             value -= held.orbitopes[k, i, i]
@@ -240,23 +208,17 @@ def set_forces(terms, held, force):
 
 
 @compiled
-def _short_of_row(terms, i, x):
-    """Return the violation of a row."""
-    short = terms.offsets[i]
-    for k in range(len(x)):
-        share = terms.shares[terms.places[i], k]
-        if share != 0.0:
-            for c in range(3):
-                short -= share * terms.normals[i, c] * x[k, c]
-    return short
-
-
-@compiled
 def _project_rows(terms, x, held, sigma, new):
     """Project onto non-negative numbers; return |new - held|^2 and the violation."""
     moved = worst = 0.0
     for i in range(len(held)):
-        new[i] = max(0.0, held[i] + sigma * _short_of_row(terms, i, x))
+        short = terms.offsets[i]
+        for k in range(len(x)):
+            share = terms.shares[terms.places[i], k]
+            if share != 0.0:
+                for c in range(3):
+                    short -= share * terms.normals[i, c] * x[k, c]
+        new[i] = max(0.0, held[i] + sigma * short)
         change = new[i] - held[i]
         moved += change * change
         worst = max(worst, abs(change))
@@ -288,13 +250,11 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
     _set_lmi(x, s)
     if held[0, 0] == held[1, 1] == held[2, 2] == held[3, 3] == 0.0:
         copy_to(t, s)
-        if extend_factor(t, t, 0, 4, SINGULAR):  # as for most steps: the constraint is inactive
+        if extend_factor(t, t, 0, 4):  # as for most steps: the constraint is inactive
             new[:] = 0.0
             values[:] = -1.0
             return 0.0, 0.0
-    for i in range(4):
-        for j in range(4):
-            t[i, j] = held[i, j] - sigma * s[i, j]
+    copy_to(t, held - sigma * s)
     _turn(t, basis, u)
     diagonalise(t, basis, values)
     moved = worst = 0.0
@@ -384,9 +344,19 @@ def set_columns(terms, x, held, sigma, new, work):
 
 
 @compiled
+def _set_pair(basis, i, j, pair):
+    """Set the unit symmetric matrix that columns i and j of a basis span, both (4, 4)."""
+    scale = 1.0 if i == j else np.sqrt(2.0)
+    for r in range(4):
+        for c in range(4):
+            one, other = basis[r, i] * (basis[c, j] * scale), basis[c, i] * (basis[r, j] * scale)
+            pair[r, c] = 0.5 * (one + other)
+
+
+@compiled
 def _orbitope_columns(first, sigma, work):
-    """Set the Hessian of the orbitopes' envelopes, by pairs of eigenvectors."""
-    bases, values, count = work.bases, work.values, 0
+    """Set the Hessian of the orbitopes' envelopes: K* of the pairs of eigenvectors."""
+    bases, values, pair, count = work.bases, work.values, work.small[0], 0
     for k in range(first, len(bases)):
         for i in range(4):
             if values[k, i] <= 0.0:
@@ -397,7 +367,9 @@ def _orbitope_columns(first, sigma, work):
                     continue
                 share = 1.0 if both else values[k, i] / (values[k, i] - values[k, j])
                 if share > NEGLIGIBLE:
-                    _set_pair(bases[k], i, j, work.column[count])
+                    _set_pair(bases[k], i, j, pair)
+                    work.column[count] = 0.0
+                    _add_adjoint(pair, 1.0, work.column[count])
                     work.step[count], work.weight[count] = k, sigma * share
                     count += 1
     return count
@@ -411,8 +383,7 @@ def _length_columns(x, held, sigma, limits, work, count):
         if limits[k] == 0.0:
             continue
         outside = sizes[k] > limits[k]
-        for c in range(3):
-            by[0, c] = held[k, c] + sigma * x[k, c]
+        copy_to(by[0], held[k] + sigma * x[k, :3])
         set_basis(by)
         for i in range(1 if outside else 0, 3):
             work.column[count] = 0.0

@@ -30,7 +30,6 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.linear import (
-    SINGULAR,
     add_product,
     copy_to,
     extend_factor,
@@ -376,7 +375,7 @@ def certify(posed, z, pull, tree, cutoff):
         for k in range(count):
             theta[k] += share * top
             matrix[k, k] += theta[k]
-        if not extend_factor(matrix, matrix, 0, count, SINGULAR):
+        if not extend_factor(matrix, matrix, 0, count):
             continue
         bent = 0.0
         if posed.stiff > 0.0:

@@ -30,7 +30,7 @@ import numpy as np
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import COMPILED, bare, compiled, entry_point
-from orbimpc_ros.mpc.kernels.linear import SINGULAR, copy_to, extend_factor, refutes, solve_factored
+from orbimpc_ros.mpc.kernels.linear import copy_to, extend_factor, refutes, solve_factored
 from orbimpc_ros.mpc.model.dynamics import Condensed, suits_dense_code
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.solve.relaxation import Multipliers, Relaxation, Row, stacked
@@ -162,7 +162,7 @@ def _drop(held, i, count):
             held.gram[j, k] = held.gram[j + 1, k]
         for k in range(i, j + 1):
             held.gram[j, k] = held.gram[j + 1, k + 1]
-    return extend_factor(held.gram, held.factor, i, count - 1, SINGULAR)
+    return extend_factor(held.gram, held.factor, i, count - 1)
 
 
 @compiled
@@ -214,7 +214,7 @@ def _add(places, held, count, r):
         gap -= move * max(0.0, curvature)
         if full <= limit:
             count += 1
-            if count < size and extend_factor(held.gram, held.factor, count - 1, count, SINGULAR):
+            if count < size and extend_factor(held.gram, held.factor, count - 1, count):
                 return ADDED, count, risen
             return BROKEN, 0, 0.0
         if not _drop(held, blocking, count):
