@@ -15,13 +15,10 @@ def _plain(function: Callable, *_: Any, **__: Any) -> Callable:
 
 
 try:
-    from orbimpc_ros.mpc.kernels import compiler
+    from orbimpc_ros.mpc.kernels.compiler import LISTENERS, bare, compiled, entry_point, vectorised
 except ImportError:  # there is no numba, or none that fits
     COMPILED = False
     LISTENERS = list[Callable[[], None]]()
     bare = compiled = entry_point = vectorised = _plain
 else:
     COMPILED = True
-    LISTENERS = compiler.LISTENERS
-    bare, compiled = compiler.bare, compiler.compiled
-    entry_point, vectorised = compiler.entry_point, compiler.vectorised

@@ -38,7 +38,6 @@ MAKING = 'call', 'binop', 'inplace_binop', 'unary', 'arrayexpr'  # arrays, not p
 COMMON: dict[str, Any] = {'error_model': 'numpy', 'no_cfunc_wrapper': True}
 USUAL = gc.get_threshold()
 SELDOM = 100_000  # objects between collections while compiling, which took a seventh of its time
-BARE: dict[Callable, Callable] = {}  # by entry point
 LISTENERS: list[Callable[[], None]] = []  # called for each function that has to be compiled
 
 
@@ -59,12 +58,8 @@ def bare(function: Callable) -> Callable:
     have the types of the one call that it was compiled for; arrays must be contiguous. A function
     that has not been called is returned as it is.
     """
-    if function not in BARE:
-        known = list(getattr(function, 'overloads', {}).values())
-        if len(known) != 1:
-            return function
-        BARE[function] = known[0].entry_point
-    return BARE[function]
+    known: Any = list(getattr(function, 'overloads', {}).values())
+    return known[0].entry_point if len(known) == 1 else function
 
 
 def compiled(function: Callable, **options: Any) -> Callable:
