@@ -62,7 +62,6 @@ def floats(function: Callable) -> Callable:
     return entry_point(made, error_model='python') if COMPILED else function
 
 
-@cache
 def _bound_to_floats(function: Callable) -> Callable:
     """Return a generic function that calls the implementations for floats of generic functions."""
     source, scope = IN_FLOATS[function], dict(function.__globals__)
@@ -126,9 +125,7 @@ coarse = by_type(lambda x: x, _coarse)
 
 def as_fractions(array: np.ndarray) -> np.ndarray:
     """Return an array of floats as one of fractions."""
-    made = np.empty(array.shape, object)
-    made.ravel()[:] = [Fraction(each) for each in array.ravel().tolist()]
-    return made
+    return np.frompyfunc(Fraction, 1, 1)(array)
 
 
 def roots(x: np.ndarray) -> np.ndarray:

@@ -250,7 +250,8 @@ def refutation(sought: Case, trees: Sequence[ProofTree]) -> Document:
 
 def text_of(document: Document) -> str:
     """Return a certificate as JSON on one line."""
-    return json.dumps(document, allow_nan=False, separators=(',', ':'))
+    plain = np.generic.item  # of NumPy's numbers, which problems accept
+    return json.dumps(document, allow_nan=False, separators=(',', ':'), default=plain)
 
 
 # --- problems
@@ -370,8 +371,7 @@ def _items(value: Any, name: str) -> list[Any]:
 
 def _plain_tree(tree: ProofTree) -> dict[str, Any]:
     """Return a tree as plain values, without unused arrays."""
-    arrays = tree._asdict()
-    made = {n: value.tolist() for n, value in arrays.items() if n in ARRAYS or value.size}
+    made = {n: value.tolist() for n, value in tree._asdict().items() if n in ARRAYS or value.size}
     return {**made, 'ordered': True} if tree.origins.size else made
 
 

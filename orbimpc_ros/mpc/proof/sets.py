@@ -163,17 +163,6 @@ def about(corners):
 
 
 @generic
-def on_face(g, normal, least, fastest, length, n):
-    """Return the least g . z + length |z| over a face within a disk, or a ball."""
-    along, square = along_and_across(g, normal, n)
-    widest = max(0 * least, fastest * fastest - least * least)
-    left = length * length - square
-    if left > 0 and square * least * least <= widest * left:  # a stationary point within the disk
-        return along * least + least * root(left)
-    return along * least + length * fastest - root(square) * root(widest)
-
-
-@generic
 def over_orbitope(g, matrix):
     """Return the least <G, R> over conv SO(3): the least eigenvalue of K(G).
 
@@ -291,4 +280,10 @@ def over_face(g, along, normal, least, speeds, length, curve, n):
     best = over_speeds(along + length, curve, slowest, fastest)
     if curve != 0 or length < 0:
         return best
-    return max(best, min((along + length) * fastest, on_face(g, normal, least, fastest, length, n)))
+    ahead, square = along_and_across(g, normal, n)
+    widest, left = max(0 * least, fastest * fastest - least * least), length * length - square
+    if left > 0 and square * least * least <= widest * left:  # stationary within the disk
+        on_face = ahead * least + least * root(left)
+    else:
+        on_face = ahead * least + length * fastest - root(square) * root(widest)
+    return max(best, min((along + length) * fastest, on_face))

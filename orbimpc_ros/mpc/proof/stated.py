@@ -227,9 +227,7 @@ class Statement:
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
-        return self._numbers(np.array(values, float, order='C'))  # a copy: numba wants it writable
-
-    def _numbers(self, array: Array) -> Rows:
+        array = np.array(values, float, order='C')  # a copy: numba wants it writable
         return array if self._number is float else as_fractions(array)
 
     def _moved(self) -> StepMap:
@@ -302,9 +300,6 @@ class Statement:
     def limits(self, state: State, goals: Array) -> Limits:
         """Return the limits of the problem from a state to goals, shape (N, n) [m]."""
         problem = self.problem
-        plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
-        if plain and not (problem.obstacles or state.hazards):
-            return NO_LIMITS
         cones, eased = list[Cone](), NOWHERE
         if problem.has_cones:
             tilted, eased = relief(problem, state, goals)
@@ -332,11 +327,11 @@ class Statement:
             aims: g_1..g_N, shape (N, n) [m].
             limits: in addition to the problem's own.
         """
-        base, start, origin = self.base, self._begun(state), self._numbers(state.position)
+        base, start, origin = self.base, self._begun(state), self._rows(state.position)
         goals, spans = base.goals.copy(), base.spans.copy()
         turned = {**self._turned(state, spans), **self._paced(state, limits, spans)}
         made = {'goals': goals, 'spans': spans, **turned, **self._coned(state, limits)}
-        goals[:, :-1] = self._numbers(aims) - origin
+        goals[:, :-1] = self._rows(aims) - origin
         if limits.glide_slope:
             goals[:, -1] = self._rows(limits.eased)
             made['cosine'], made['sine'] = direction(self._number(limits.glide_slope))
@@ -363,7 +358,7 @@ class Statement:
             rows[DECIDED] = (state.rotation_rate if begun is None else begun).T.ravel()[:d]
         elif problem.turns_are_angles:
             rows[TIED, :n] = state.attitude[:, 0]
-        start = self._numbers(rows)
+        start = self._rows(rows)
         if problem.rotation_order == 2 and begun is None:
             start[DECIDED] = start[FIRST] + self._number(problem.step) * start[DECIDED]
         if not problem.inertial:

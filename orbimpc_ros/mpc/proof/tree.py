@@ -69,8 +69,7 @@ class ProofTree(NamedTuple):
 ARRAYS = ProofTree._fields[:7]  # in every tree
 OPTIONAL = ProofTree._fields[7:]  # empty if unused
 INTEGERS = 'nodes', 'press_end', 'press_row'
-INTEGER, FLOAT = np.dtype(np.int64), np.dtype(np.float64)
-KINDS = [INTEGER if name in INTEGERS else FLOAT for name in ARRAYS + OPTIONAL]
+KINDS = [np.dtype(np.int64 if name in INTEGERS else float) for name in ProofTree._fields]
 
 
 def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
@@ -81,15 +80,14 @@ def one(point: Array, shor: Array, **multipliers: Array) -> ProofTree:
         shor: shape (N,).
         multipliers: other arrays of the leaf, by name, without the axis of leaves.
     """
+    known = {'point': point, 'shor': shor, **multipliers}
+    arrays: dict[str, Any] = {n: np.ascontiguousarray(each[None]) for n, each in known.items()}
     none = np.zeros(1, np.int64)
-    known: dict[str, Any] = {name: value[None] for name, value in multipliers.items()}
     return ProofTree(
         nodes=np.zeros((1, 5), np.int64),
         at=np.zeros(1),
-        point=np.ascontiguousarray(point[None]),
-        shor=np.ascontiguousarray(shor[None]),
         press_end=none,
         press_row=none[:0],
         press=np.zeros(0),
-        **known,
+        **arrays,
     )
