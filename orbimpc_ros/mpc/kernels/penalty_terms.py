@@ -166,7 +166,7 @@ def _add_adjoint(m, scale, out):
     """Add a multiple of K*(m), the adjoint of R's part of S(R).
 
     Args:
-        m: symmetric, shape (4, 4).
+        m: symmetric, its upper triangle given, shape (4, 4).
         scale: the factor.
         out: to be added to, shape (9,).
     """
@@ -254,7 +254,9 @@ def _project_orbitope(x, held, sigma, new, basis, values, small):
             new[:] = 0.0
             values[:] = -1.0
             return 0.0, 0.0
-    copy_to(t, held - sigma * s)
+    for i in range(4):
+        for j in range(4):
+            t[i, j] = held[i, j] - sigma * s[i, j]
     _turn(t, basis, u)
     diagonalise(t, basis, values)
     moved = worst = 0.0
@@ -345,10 +347,10 @@ def set_columns(terms, x, held, sigma, new, work):
 
 @compiled
 def _set_pair(basis, i, j, pair):
-    """Set the unit symmetric matrix that columns i and j of a basis span, both (4, 4)."""
+    """Set the upper triangle of the unit symmetric matrix that two columns of a basis span."""
     scale = 1.0 if i == j else np.sqrt(2.0)
     for r in range(4):
-        for c in range(4):
+        for c in range(r, 4):
             one, other = basis[r, i] * (basis[c, j] * scale), basis[c, i] * (basis[r, j] * scale)
             pair[r, c] = 0.5 * (one + other)
 
