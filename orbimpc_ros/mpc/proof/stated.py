@@ -300,6 +300,9 @@ class Statement:
     def limits(self, state: State, goals: Array) -> Limits:
         """Return the limits of the problem from a state to goals, shape (N, n) [m]."""
         problem = self.problem
+        plain = not (problem.has_cones or problem.approach.exists or problem.max_acceleration)
+        if plain and not (problem.obstacles or state.hazards):
+            return NO_LIMITS
         cones, eased = list[Cone](), NOWHERE
         if problem.has_cones:
             tilted, eased = relief(problem, state, goals)

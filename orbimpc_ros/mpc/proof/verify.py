@@ -55,6 +55,7 @@ class Verifier:
         self._work = work_of(base, self._kind)
         self._region = region_of(DEPTHS, 2 * count, n, self._kind)
         self._sizes = {'N': count, 'n': n, 'd': width, 'm': base.arrives, '3': 3, '5': 5}
+        self._inner = [tuple(self._sizes[axis] for axis in axes[1:]) for axes in AXES]
         if COMPILED and not self._exact:
             if bare(_bound) is _bound:  # load machine code at start-up, not in a tick
                 start, still = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n)), np.zeros(count)
@@ -108,11 +109,11 @@ class Verifier:
 
     def _fits(self, tree: ProofTree) -> bool:
         """Return whether a tree that is not trusted has arrays of the types and shapes needed."""
-        sizes = {'M': len(tree.nodes), 'L': len(tree.point), 'P': tree.press.size, **self._sizes}
-        for i, (value, axes) in enumerate(zip(tree, AXES, strict=True)):
+        counts = {'M': len(tree.nodes), 'L': len(tree.point), 'P': tree.press.size, **self._sizes}
+        for i, (value, axes, inner) in enumerate(zip(tree, AXES, self._inner, strict=True)):
             if value.dtype != KINDS[i] or value.ndim != len(axes):
                 return False
-            fits = value.shape == tuple(map(sizes.get, axes)) and value.flags.c_contiguous
+            fits = value.shape == (counts[axes[0]], *inner) and value.flags.c_contiguous
             if not fits and (i < len(ARRAYS) or value.size > 0):
                 return False
         return len(tree.nodes) > 0
