@@ -315,16 +315,6 @@ def test_a_goal_lost_for_long_is_held_where_it_is_seen_again():
     np.testing.assert_allclose(bank.at(START + 1e6 + np.arange(3.0)), 7.0, atol=1e-9)
 
 
-@pytest.mark.parametrize('family', ['carrier', 'turn'])
-def test_a_long_watch_loses_nothing(family):
-    """The forecast stays exact over twice as many sightings as the bank keeps."""
-    motion = drawn(family, 2, np.random.default_rng(10))
-    times = START + 0.5 * np.arange(2 * MEMORY)
-    bank, ahead = shown(times, motion(times)), times[-1] + np.arange(0.0, 4.0)
-    np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
-    assert bank.model == family
-
-
 @pytest.mark.parametrize('seed', range(2))
 def test_who_is_watched_for_long_is_as_well_known_when_the_oldest_sightings_are_dropped(seed):
     """With noise, the fit is still being refined when the oldest sightings are dropped."""

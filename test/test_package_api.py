@@ -13,18 +13,7 @@ import numpy as np
 import pytest
 
 import orbimpc_ros
-from orbimpc_ros import (
-    BadInput,
-    Box,
-    Floor,
-    Odometry,
-    Planner,
-    Problem,
-    Snapshot,
-    Solver,
-    State,
-    Weights,
-)
+from orbimpc_ros import Box, Floor, Odometry, Planner, Problem, Snapshot, Solver, State, Weights
 
 PAGE = (Path(__file__).parents[1] / 'docs' / 'library.md').read_text()
 CLASSES = [n for n in orbimpc_ros.__all__ if not n.startswith('_')]
@@ -71,7 +60,7 @@ def test_values_compare_hash_and_pickle_by_content():
         assert hash(one) == hash(twin)
         assert pickle.loads(pickle.dumps(one)) == one
         assert one != 'something else'
-    error = BadInput('goals', [1.0], '2 numbers')
+    error = orbimpc_ros.BadInput('goals', [1.0], '2 numbers')
     assert str(pickle.loads(pickle.dumps(error))) == str(error)  # as from a process of a pool
 
 

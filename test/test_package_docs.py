@@ -28,7 +28,6 @@ LINK = re.compile(r'\]\((?!https?:)([^)#]*)(#[^)]+)?\)|(?:src|srcset)="([^"]+)"'
 def test_the_parameters_are_those_of_the_nodes():
     pytest.importorskip('rclpy')
     page = runpy.run_path(str(DOCS / 'parameters.py'))['page']
-
     assert (DOCS / 'parameters.md').read_text() == page(), 'make docs'
 
 
@@ -79,13 +78,10 @@ def test_every_command_of_the_pages_is_followed_or_left_out_for_a_reason():
     assert 'make demo' in rope.text
 
 
-CONFIGURATIONS = sorted((ROOT / 'config').glob('*.yaml'))
-
-
-@pytest.mark.parametrize('file', CONFIGURATIONS, ids=lambda file: file.name)
-def test_pages_that_a_configuration_refers_to_exist(file):
-    for named in re.findall(r'docs/[\w/]+\.\w+', file.read_text()):
-        assert (ROOT / named).is_file(), named
+def test_pages_that_configurations_refer_to_exist():
+    for file in (ROOT / 'config').glob('*.yaml'):
+        for named in re.findall(r'docs/[\w/]+\.\w+', file.read_text()):
+            assert (ROOT / named).is_file(), (file, named)
 
 
 def test_the_code_names_sections_of_the_mathematics_that_exist():
@@ -104,6 +100,7 @@ def test_the_code_names_sections_of_the_mathematics_that_exist():
 # --- layouts
 
 CONFIG = ROOT / 'config'
+RVIZ = yaml.safe_load((CONFIG / 'rviz' / 'retrieval.rviz').read_text())['Visualization Manager']
 SHOWS = {
     'MarkerArray': 'visualization_msgs/msg/MarkerArray',
     'Odometry': 'nav_msgs/msg/Odometry',
@@ -113,22 +110,9 @@ SHOWS = {
 }  # message types of RViz's displays and tools
 
 
-def rviz():
-    return yaml.safe_load((CONFIG / 'rviz' / 'retrieval.rviz').read_text())
-
-
-def foxglove():
-    return json.loads((CONFIG / 'foxglove' / 'retrieval.json').read_text())
-
-
-def plotjuggler():
-    return ElementTree.parse(CONFIG / 'plotjuggler' / 'retrieval.xml').getroot()
-
-
 def of_rviz():
     """Yield name and type of every topic that RViz displays or publishes."""
-    manager = rviz()['Visualization Manager']
-    for each in (*manager['Displays'], *manager['Tools']):
+    for each in (*RVIZ['Displays'], *RVIZ['Tools']):
         if 'Topic' in each:
             yield each['Topic']['Value'], SHOWS[each['Class'].rpartition('/')[2]]
 
@@ -151,14 +135,14 @@ def test_rviz_shows_what_there_is():
     assert set(found) == {'plan', 'plan_markers', 'world_markers', 'odom', 'goal'}
     for topic, kind in found.items():
         assert TYPES[topic] == kind
-    displays = rviz()['Visualization Manager']['Displays']
-    assert 'rviz_default_plugins/TF' in {each['Class'] for each in displays}
-    assert all(each['Enabled'] for each in displays)
-    assert rviz()['Visualization Manager']['Global Options']['Fixed Frame'] == 'odom'
+    assert 'rviz_default_plugins/TF' in {each['Class'] for each in RVIZ['Displays']}
+    assert all(each['Enabled'] for each in RVIZ['Displays'])
+    assert RVIZ['Global Options']['Fixed Frame'] == 'odom'
 
 
 def test_foxglove_shows_what_there_is():
-    panels = foxglove()['configById']
+    layout = json.loads((CONFIG / 'foxglove' / 'retrieval.json').read_text())
+    panels = layout['configById']
     assert set(panels['3D!world']['topics']) == {f'/{topic}' for topic, _ in of_rviz()}
     for name, panel in panels.items():
         if name.startswith('Diagnostic'):
@@ -171,10 +155,9 @@ def test_foxglove_shows_what_there_is():
 
 
 def test_plotjuggler_shows_what_there_is():
-    curves = [c.get(key) for c in plotjuggler().iter('curve') for key in ('curve_x', 'curve_y')]
-    curves = [c for c in curves if c] + [
-        c.get('name') for c in plotjuggler().iter('curve') if '[' not in c.get('name')
-    ]
+    found = list(ElementTree.parse(CONFIG / 'plotjuggler' / 'retrieval.xml').iter('curve'))
+    named = [c.get(key) for c in found for key in ('curve_x', 'curve_y', 'name')]
+    curves = [name for name in named if name and '[' not in name]
     for curve in curves:
         topic = max((each for each in TYPES if curve.startswith(f'/{each}/')), key=len)
         assert require(topic, curve.removeprefix(f'/{topic}/').split('/')) == 'double'

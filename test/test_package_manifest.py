@@ -4,12 +4,13 @@
 Installation hints keep the NumPy 1 of ROS; one line names what is missing.
 """
 
-import ast
 import os
 import re
+import runpy
 import shlex
 import sys
 import xml.etree.ElementTree as ElementTree
+from unittest import mock
 
 import pytest
 from harness import ROOT, python, run
@@ -41,18 +42,11 @@ MODULES = {'bsk': ('Basilisk',), 'rerun-sdk': ('rerun', 'rerun_cli')}
 
 
 def setup_keyword(name):
-    """Return the literal value of a keyword of the setup() call."""
-    tree = ast.parse((ROOT / 'setup.py').read_text())
-    constants = {
-        node.targets[0].id: node.value for node in tree.body if isinstance(node, ast.Assign)
-    }
-    call = next(
-        node
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'setup'
-    )
-    value = next(keyword.value for keyword in call.keywords if keyword.arg == name)
-    return ast.literal_eval(constants[value.id] if isinstance(value, ast.Name) else value)
+    """Return the value of a keyword of the setup() call."""
+    given = {}
+    with mock.patch('setuptools.setup', given.update):
+        runpy.run_path(str(ROOT / 'setup.py'))
+    return given[name]
 
 
 def imported():
@@ -180,7 +174,6 @@ def test_without_the_file_numpy_stays_below_2_all_the_same(monkeypatch):
 
 
 # --- missing packages: fast methods work without them, others name them in one line
-
 
 # An installation with the packages of apt alone.
 BARE = """
