@@ -133,18 +133,19 @@ class Observer:
 
     Args:
         domain: DDS domain; by default the environment's.
+        executor: type of the executor that spins the node.
 
     Attributes:
         node: for publishers and clients.
         domain: DDS domain.
     """
 
-    def __init__(self, domain: int | None = None) -> None:
+    def __init__(self, domain: int | None = None, executor: str = 'wait_set') -> None:
         from orbimpc_ros.ros.process import attached
 
         self.domain = domain
         self._stack = contextlib.ExitStack()
-        attaching = attached('observer', enable_rosout=False)
+        attaching = attached('observer', executor, enable_rosout=False)
         with mock.patch.dict(os.environ, {'ROS_DOMAIN_ID': str(domain)} if domain else {}):
             self.node, self._executor = self._stack.enter_context(attaching)
         self._subscriptions: dict[str, Any] = {}

@@ -5,10 +5,10 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_119,
-    'orbimpc_ros/mpc': 14_589,
+    'orbimpc_ros': 28_132,
+    'orbimpc_ros/mpc': 14_600,
     'orbimpc_ros/loop': 3_143,
-    'orbimpc_ros/ros': 4_040,
+    'orbimpc_ros/ros': 4_042,
     'orbimpc_ros/sim': 2_179,
     'orbimpc_ros/tool': 4_041,
     'benchmarks': 3_352,

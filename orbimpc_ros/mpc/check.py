@@ -145,7 +145,7 @@ def step_margins(
     """
     by_limit, turned = dict[str, Array](), headings[..., 1:, :]
     if problem.floor.exists:
-        outward = problem.floor.normals(problem.dimension)
+        outward = problem.floor_normals
         above = _sizes(turned) if outward is None else (turned @ outward.T).max(axis=-1)
         by_limit['floor'] = above - problem.floor.fraction
     if problem.max_rate:

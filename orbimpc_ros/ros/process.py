@@ -397,7 +397,9 @@ def full_name(endpoint: Any) -> str:
 
 
 @contextmanager
-def attached(name: str, **options: Any) -> Iterator[tuple[Node, Executor]]:
+def attached(
+    name: str, executor: str = 'wait_set', **options: Any
+) -> Iterator[tuple[Node, Executor]]:
     """Yield a node with its own context, and its executor, for processes other than ROS nodes.
 
     ``options`` are those of ``rclpy.create_node``.
@@ -405,24 +407,24 @@ def attached(name: str, **options: Any) -> Iterator[tuple[Node, Executor]]:
     with Context() as context, ExitStack() as stack:
         node = rclpy.create_node(name, context=context, **options)
         stack.callback(node.destroy_node)
-        executor = stack.enter_context(SingleThreadedExecutor(context=context))
-        executor.add_node(node)
-        yield node, executor
+        spinning = stack.enter_context(executor_named(executor, context))
+        spinning.add_node(node)
+        yield node, spinning
 
 
-def executor_named(name: str) -> Executor:
-    """Return a new executor, ``wait_set`` or ``events``.
+def executor_named(name: str, context: Context | None = None) -> Executor:
+    """Return a new executor, ``wait_set`` or ``events``; the context defaults to rclpy's.
 
     Raises:
         BadInput: this rclpy has no events executor.
     """
     if name == 'wait_set':
-        return SingleThreadedExecutor()
+        return SingleThreadedExecutor(context=context)
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
         raise BadInput('executor', name, 'wait_set: this rclpy is older than 7.1.4') from None
-    return EventsExecutor()
+    return EventsExecutor(context=context)
 
 
 def run(node_type: type[Managed]) -> int:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -254,6 +254,11 @@ class Problem:
         return max(SLOWEST, self.least_speed)
 
     @cached_property
+    def floor_normals(self) -> Array | None:
+        """Return the unit normals of the floor's half-spaces, shape (m, n); None if it is round."""
+        return self.floor.normals(self.dimension)
+
+    @cached_property
     def has_cones(self) -> bool:
         """Return True if there is a tilt limit or a glide slope."""
         return self.tilt > 0.0 or self.glide_slope > 0.0
@@ -413,12 +418,12 @@ class State(ByContent):
         n = np.size(position)
         if n not in (2, 3):
             raise BadInput('state.position', n, '2 or 3 numbers')
-        line, square, still = (n,), (n, n), sealed(np.zeros(n))
+        line, square, still = (n,), (n, n), _zeros((n,))
         arrays: dict[str, tuple[Any, tuple[int, ...], Array | None]] = {
             'position': (position, line, None),
             'rotation': (rotation, square, None),
             'velocity': (velocity, line, still),
-            'rotation_rate': (rotation_rate, square, sealed(np.zeros(square))),
+            'rotation_rate': (rotation_rate, square, _zeros(square)),
             'attitude': (attitude, square, None),
             'coasted': (coasted, square, None),
             'disturbance': (disturbance, line, still),
@@ -459,6 +464,12 @@ class State(ByContent):
         value = work_out()
         self._cache.append((key, value))
         return value
+
+
+@lru_cache(maxsize=8)
+def _zeros(shape: tuple[int, ...]) -> Array:
+    """Return zeros shared by all states, since creating and checking arrays costs microseconds."""
+    return sealed(np.zeros(shape))
 
 
 def _require_rotation(matrix: Array, culprit: str) -> None:

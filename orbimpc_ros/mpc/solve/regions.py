@@ -100,7 +100,7 @@ class Regions:
             self._curvature = np.where(along > 0.0, along, np.inf)
         self._farthest = np.abs(self._reach).sum(axis=1)
         # Normals of the floor's faces, if these are its choices.
-        self._solid = floor.normals(n) if n == 3 or floor.shape != 'polygon' else None
+        self._solid = problem.floor_normals if n == 3 or floor.shape != 'polygon' else None
         self._faces = floor.faces if floor.shape == 'polygon' and n == 2 else 0
         self._first_arc = -math.pi / self._faces if self._faces else 0.0
         self._outward = np.vstack([-np.eye(n), np.eye(n)])
