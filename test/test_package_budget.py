@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_132,
-    'orbimpc_ros/mpc': 14_600,
+    'orbimpc_ros': 28_146,
+    'orbimpc_ros/mpc': 14_614,
     'orbimpc_ros/loop': 3_143,
     'orbimpc_ros/ros': 4_042,
     'orbimpc_ros/sim': 2_179,

@@ -320,6 +320,15 @@ def _next(nodes, walk, t):
 
 
 @generic
+def _is_within(shor, most):
+    """Return whether a leaf assigns no more curvature to each step than given."""
+    within = True
+    for k in range(len(shor)):
+        within = within and shor[k] <= most[k]
+    return within
+
+
+@generic
 def _is_bound(stated, shor, point, work):
     """Return whether the cost less a leaf's curvature is convex, so that its tangent is a bound.
 
@@ -334,25 +343,28 @@ def _is_bound(stated, shor, point, work):
         work: positions and velocities there, and work arrays.
     """
     units, zero = work.units, 0 * stated.full
-    if (shor <= work.convex).all():
+    if _is_within(shor, work.convex):
         return True
     if units.slopes[0, 0] == 0:  # not set yet: its columns are the gradients at unit headings
         nothing = units.nothing
         _at_point(stated, nothing, nothing, units.point, units.flown, units.slopes)
         pulled_back(stated.motion, units.flown, units.slopes)
-    count, m, top = len(shor), work.squares[: len(shor)], zero
+    count, m, top, longest = len(shor), work.squares[: len(shor)], zero, zero + 1
     for k in range(count):
         top = max(top, units.slopes[k, k], abs(shor[k]))
-    m[:] = units.slopes / top
     for i in range(count):
+        for j in range(count):
+            m[i, j] = units.slopes[i, j] / top
         m[i, i] = m[i, i] - shor[i] / top
     off = _arrived(stated, m, work) if stated.arrives > 0 else zero
-    longest = max(zero + 1, np.abs(point[:, : stated.n]).max())
+    for k in range(count):
+        for c in range(stated.n):
+            longest = max(longest, abs(point[k, c]))
     lost = 2 * top * count * off * (2 * stated.n * count * (1 + longest) + off)
     counted(work.total, -lost, zero)
     convex = _is_convex(m, 8 * count * slack(1 + zero))
-    if convex and stated.arrives == 0:
-        work.convex[:] = shor
+    for k in range(count if convex and stated.arrives == 0 else 0):
+        work.convex[k] = shor[k]
     return convex
 
 

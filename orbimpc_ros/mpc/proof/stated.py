@@ -227,7 +227,9 @@ class Statement:
 
     def _rows(self, values: Any) -> Rows:
         """Return an array of numbers."""
-        array = np.array(values, float, order='C')  # a copy: numba wants it writable
+        return self._numbers(np.array(values, float, order='C'))  # a copy: numba wants it writable
+
+    def _numbers(self, array: Array) -> Rows:
         return array if self._number is float else as_fractions(array)
 
     def _moved(self) -> StepMap:
@@ -330,11 +332,11 @@ class Statement:
             aims: g_1..g_N, shape (N, n) [m].
             limits: in addition to the problem's own.
         """
-        base, start, origin = self.base, self._begun(state), self._rows(state.position)
+        base, start, origin = self.base, self._begun(state), self._numbers(state.position)
         goals, spans = base.goals.copy(), base.spans.copy()
         turned = {**self._turned(state, spans), **self._paced(state, limits, spans)}
         made = {'goals': goals, 'spans': spans, **turned, **self._coned(state, limits)}
-        goals[:, :-1] = self._rows(aims) - origin
+        goals[:, :-1] = self._numbers(aims) - origin
         if limits.glide_slope:
             goals[:, -1] = self._rows(limits.eased)
             made['cosine'], made['sine'] = direction(self._number(limits.glide_slope))
@@ -361,7 +363,7 @@ class Statement:
             rows[DECIDED] = (state.rotation_rate if begun is None else begun).T.ravel()[:d]
         elif problem.turns_are_angles:
             rows[TIED, :n] = state.attitude[:, 0]
-        start = self._rows(rows)
+        start = self._numbers(rows)
         if problem.rotation_order == 2 and begun is None:
             start[DECIDED] = start[FIRST] + self._number(problem.step) * start[DECIDED]
         if not problem.inertial:
