@@ -78,7 +78,8 @@ def test_a_node_that_hangs_at_its_end_is_ended_and_says_where(launch, observer, 
         ('planner', [*FILE, f'{ROOT}/config/studies/paper.yaml'], 'not a parameter file; '),
     ],
 )
-def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, said):
+def test_words_that_nobody_would_look_at_are_refused_in_one_line(node, words, said, monkeypatch):
+    monkeypatch.delenv('HOME')  # as for a service of systemd
     done = run(sys.executable, '-m', PACKAGES[node], *words)
     assert done.returncode == 2
     assert done.stderr.count('\n') == 1, done.stderr

@@ -434,6 +434,7 @@ def run(node_type: type[Managed]) -> int:
     the node's creation ends it with code 2 and one line.
     """
     os.environ.setdefault(RANGE, 'LOCALHOST')
+    os.environ.setdefault('HOME', os.path.expanduser('~'))  # where ROS logs; services may lack it
     leave_at_signals()
     try:
         sections = spec.given_sections()
