@@ -17,7 +17,6 @@ from orbimpc_ros.loop.compensation import Odometry, WindReport
 from orbimpc_ros.loop.goal.forecast import BELIEVED, FORECASTS, MEMORY, Bank
 from orbimpc_ros.loop.goal.motion import GoalObservation, Route
 from orbimpc_ros.loop.planner import Planner, Snapshot
-from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.mpc.geometry.rotations import exp
 from orbimpc_ros.mpc.problem import Floor, Problem
 
@@ -407,12 +406,6 @@ def test_an_open_path_ends_and_a_closed_one_goes_on():
     np.testing.assert_allclose(pursued(short, times=np.array([5.0]))[0], [[30.0, 0.0]])
     around, _ = pursued(circle(), times=np.array([20.0 * math.pi]))
     np.testing.assert_allclose(around[0], circle().positions[0], atol=0.5)
-
-
-@pytest.mark.parametrize('points', [[[0.0, 0.0]], [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]]])
-def test_points_have_to_be_apart(points):
-    with pytest.raises(BadInput, match='goal_path'):
-        Route(np.array(points))
 
 
 def flown(route, wind, seconds, place=(0.0, 60.0), heading=0.0):

@@ -10,7 +10,7 @@ from plans import assembled
 from problems import CASES, ORDERS, disturbed, floor, goals, weights
 
 from orbimpc_ros.loop.compensation import Odometry
-from orbimpc_ros.loop.goal.motion import GoalTrajectory
+from orbimpc_ros.loop.goal.motion import GoalTrajectory, Route
 from orbimpc_ros.loop.planner import Planner, Snapshot
 from orbimpc_ros.mpc.arrays import frozen
 from orbimpc_ros.mpc.check import violations
@@ -130,6 +130,7 @@ VALUES = {
             for r in (np.eye(3), 1.1 * np.eye(2), np.ones((2, 2)))
         ),
         (lambda: State.at([0.0] * 3, np.diag([1.0, 1.0, -1.0])), 'state.rotation'),
+        *((lambda p=p: Route(np.array(p)), 'goal_path') for p in (MOVED[:1], 2 * MOVED[:1])),
         (lambda: GoalTrajectory(np.array([1.0, 1.0]), np.zeros((2, 2))), 'goal_path stamps'),
         *((lambda g=g: asked(g), 'goals') for g in (GOALS[1:], GOALS * np.nan, WORDS)),
         *((lambda g=g: stepped(g), 'goal') for g in (GOALS[1:], GOALS.ravel(), WORDS)),

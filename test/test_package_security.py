@@ -100,10 +100,8 @@ def test_qos_is_as_documented(shared, endpoints):
     for topic in outputs:
         profile = node.get_publishers_info_by_topic(topic)[0].qos_profile
         assert profile.reliability == ReliabilityPolicy.RELIABLE
-        kept = (
-            DurabilityPolicy.TRANSIENT_LOCAL if topic == 'captured' else DurabilityPolicy.VOLATILE
-        )
-        assert profile.durability == kept
+        latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        assert latched == (topic == 'captured')
     for topic in ('odom', 'goal', 'goal_path'):
         found = node.get_subscriptions_info_by_topic(topic)
         (heard,) = (each for each in found if each.node_name == 'planner')
@@ -134,13 +132,9 @@ def test_where_security_is_asked_for_and_missing_nothing_flies(
 ):
     """The Fast DDS of PyPI has no security library: it must fail closed."""
     commands = observer.listen(TwistStamped, 'cmd_vel')
-    environment = {
-        **os.environ,
-        'ROS_DOMAIN_ID': str(domain),
-        'ROS_SECURITY_ENABLE': 'true',
-        'ROS_SECURITY_STRATEGY': 'Enforce',
-        'ROS_SECURITY_KEYSTORE': str(prepare(tmp_path / 'keystore')),
-    }
+    asked = {'ENABLE': 'true', 'STRATEGY': 'Enforce', 'KEYSTORE': prepare(tmp_path / 'keystore')}
+    secured = {f'ROS_SECURITY_{name}': str(value) for name, value in asked.items()}
+    environment = {**os.environ, **secured, 'ROS_DOMAIN_ID': str(domain)}
     done = run(sys.executable, '-m', PACKAGES[node], env=environment)
     lines = [line for line in done.stderr.splitlines() if not line.startswith('[INFO]')]
     assert done.returncode not in (0, None)

@@ -128,19 +128,24 @@ class CommandHistory:
                 return followed(reached, command.speed_fraction, time - at, self.lag)[0]
         return reached
 
-    def mean(self, begin: float, end: float) -> float | None:
+    def means(self, begin: float, end: float) -> tuple[float, float] | None:
         """Return the mean share of speed or thrust from ``begin`` to ``end`` [s]; None if unknown.
 
-        Without a lag, the speed or thrust of a command takes effect when the next command comes.
+        The second mean is weighted by the time that is left: a thrust moves a vehicle the farther,
+        the earlier it acts. Without a lag, the speed or thrust of a command takes effect when the
+        next command comes.
         """
-        flown, reached = 0.0, self.applied(begin)
+        flown, moved, reached = 0.0, 0.0, self.applied(begin)
         for time, command, before in self.intervals(begin, end):
             acting = command if self.lag else before
             if acting is None:
                 return None
-            reached, covered = followed(reached, acting.speed_fraction, time, self.lag)
+            wanted, first = acting.speed_fraction, reached
+            reached, covered = followed(first, wanted, time, self.lag)
+            lagging = self.lag * ((first - wanted) * time - (covered - wanted * time))
+            moved += flown * time + 0.5 * wanted * time * time + lagging
             flown += covered
-        return flown / (end - begin)
+        return flown / (end - begin), 2.0 * moved / (end - begin) ** 2
 
     def add(self, command: Command, at: float | None = None) -> None:
         """Record a command, with its time [s] if that is known; times must not decrease."""
@@ -320,7 +325,7 @@ class Compensator:
             allowed = f'{self._problem.dimension} numbers'
             raise BadInput('odometry.position', measured.position.tolist(), allowed)
         odometry = along_the_air(measured) if self._sideslip else measured
-        if not self.history.sent and not self._problem.inertial:
+        if not self.history.sent:
             self._begin(odometry)
         limited = self.observe(odometry, wind) if self._estimated else ''
         coming = [] if now is None else self.history.intervals(now - latency, now)
@@ -543,8 +548,13 @@ class Compensator:
     def _begin(self, odometry: Odometry) -> None:
         """Take the measured airspeed as the initial one, at the first command.
 
-        Over ground, its uncertainty is that of the wind, or the range of speeds of the vehicle.
+        Over ground, its uncertainty is that of the wind, or the range of speeds of the vehicle. A
+        vehicle with inertia is taken to carry its weight: it hovers, or stands on the ground.
         """
+        if self._problem.inertial:
+            carried = -float(self._given @ odometry.attitude[:, 0]) / self._problem.forward
+            self.history.begun = min(1.0, max(0.0, carried))
+            return
         least, noise = self._problem.least_speed, NOISE_SEEN
         share = self._airspeed(odometry) / self._problem.forward
         self.history.begun = min(1.0, max(least, share))
@@ -583,13 +593,15 @@ class Compensator:
         Their direction follows from the measured attitudes.
         """
         problem, time = self._problem, now.time - last.time
-        share = self.history.mean(last.time, now.time)
+        shares = self.history.means(last.time, now.time)
         if self._sideslip:
-            share = 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / problem.forward
-        if time > GAP or share is None:
+            shares = 2 * (0.5 * (last.body_velocity[0] + now.body_velocity[0]) / problem.forward,)
+        if time > GAP or shares is None:
             return False
-        turn, ahead = log(last.attitude.T @ now.attitude), share * self._full
-        once, twice = (last.attitude @ each for each in turned(turn, ahead))
+        turn = log(last.attitude.T @ now.attitude)
+        once, twice = (
+            last.attitude @ turned(turn, share * self._full)[i] for i, share in enumerate(shares)
+        )
         moved = np.array([time * time * twice, time * once])
         step, driven = np.eye(3), np.array([time, 1.0, 0.0])
         step[:2, 2], step[0, 1] = (0.5 * time * time, time), time
