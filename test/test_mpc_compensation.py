@@ -316,7 +316,8 @@ class Watched:
         orders = {'translation_order': plant.translation_order, 'floor': floor}
         problem = Problem(plant.dimension, forward=plant.forward, **orders)
         known |= {'estimated': True, 'velocity_source': source}
-        self.estimator = Compensator(problem, Response(plant.speed_lag), **known)
+        lags = Response(plant.speed_lag, plant.rate_lag)
+        self.estimator = Compensator(problem, lags, **known)
         self.history, self.vehicle = self.estimator.history, started(plant, 0.3, fraction)
 
     def watch(self, ticks, command=None, noise=0.0, moved=0.0):
@@ -361,7 +362,7 @@ def watched():
     return found
 
 
-@pytest.mark.parametrize(('noise', 'within'), [(0.0, 0.01), (0.1, 0.12), (0.3, 0.15)])
+@pytest.mark.parametrize(('noise', 'within'), [(0.0, 0.0004), (0.1, 0.12), (0.3, 0.15)])
 @pytest.mark.parametrize('plant', PLANTS)
 def test_a_steady_disturbance_is_found_whatever_is_commanded(plant, noise, within):
     watched = Watched(plant)

@@ -5,16 +5,16 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_159,
+    'orbimpc_ros': 28_162,
     'orbimpc_ros/mpc': 14_614,
-    'orbimpc_ros/loop': 3_155,
+    'orbimpc_ros/loop': 3_158,
     'orbimpc_ros/ros': 4_043,
     'orbimpc_ros/sim': 2_179,
     'orbimpc_ros/tool': 4_041,
     'benchmarks': 3_352,
-    'test': 17_999,
+    'test': 18_000,
 }
-WORDS = {'docs': 23_647, 'README.md': 900}
+WORDS = {'docs': 23_657, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)

@@ -598,9 +598,12 @@ class Compensator:
             shares = 2 * (0.5 * (last.body_velocity[0] + now.body_velocity[0]) / problem.forward,)
         if time > GAP or shares is None:
             return False
-        turn = log(last.attitude.T @ now.attitude)
+        turn, lag, bent = log(last.attitude.T @ now.attitude), self.response.rate, 0.0
+        if lag:  # the rate changes first: on average the body is ahead of an even turn, by this
+            bent = lag * (-1.0 / math.expm1(-time / lag) - lag / time - 0.5)
+        attitude = last.attitude @ exp(bent * (last.body_rate - now.body_rate))
         once, twice = (
-            last.attitude @ turned(turn, share * self._full)[i] for i, share in enumerate(shares)
+            attitude @ turned(turn, share * self._full)[i] for i, share in enumerate(shares)
         )
         moved = np.array([time * time * twice, time * once])
         step, driven = np.eye(3), np.array([time, 1.0, 0.0])
