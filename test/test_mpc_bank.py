@@ -105,13 +105,15 @@ def shown(times, seen, bank=None):
 # --- laws
 
 
-@pytest.mark.parametrize('n', [2, 3])
-@pytest.mark.parametrize('family', FAMILIES)
-def test_every_family_is_recovered_exactly_without_noise(family, n):
+@pytest.mark.parametrize(  # the last are of more sightings than the bank keeps
+    ('family', 'n', 'seconds'),
+    [*((f, n, 20.0) for f in FAMILIES for n in (2, 3)), ('carrier', 2, 300.0), ('turn', 2, 300.0)],
+)
+def test_every_family_is_recovered_exactly_without_noise(family, n, seconds):
     for seed in range(2):
         rng = np.random.default_rng([1, n, seed])
         motion = drawn(family, n, rng)
-        times, seen = sighted(motion, rng, spacing=0.2)
+        times, seen = sighted(motion, rng, seconds=seconds, spacing=0.2)
         bank, ahead = shown(times, seen), times[-1] + np.arange(0.0, AHEAD + 0.1, 0.5)
         np.testing.assert_allclose(bank.at(ahead), motion(ahead), atol=1e-3)
         assert bank.model == family

@@ -316,8 +316,7 @@ class Watched:
         orders = {'translation_order': plant.translation_order, 'floor': floor}
         problem = Problem(plant.dimension, forward=plant.forward, **orders)
         known |= {'estimated': True, 'velocity_source': source}
-        lags = Response(plant.speed_lag, plant.rate_lag)
-        self.estimator = Compensator(problem, lags, **known)
+        self.estimator = Compensator(problem, Response(plant.speed_lag, plant.rate_lag), **known)
         self.history, self.vehicle = self.estimator.history, started(plant, 0.3, fraction)
 
     def watch(self, ticks, command=None, noise=0.0, moved=0.0):

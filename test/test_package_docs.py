@@ -141,8 +141,7 @@ def test_rviz_shows_what_there_is():
 
 
 def test_foxglove_shows_what_there_is():
-    layout = json.loads((CONFIG / 'foxglove' / 'retrieval.json').read_text())
-    panels = layout['configById']
+    panels = json.loads((CONFIG / 'foxglove' / 'retrieval.json').read_text())['configById']
     assert set(panels['3D!world']['topics']) == {f'/{topic}' for topic, _ in of_rviz()}
     for name, panel in panels.items():
         if name.startswith('Diagnostic'):

@@ -100,8 +100,8 @@ def test_qos_is_as_documented(shared, endpoints):
     for topic in outputs:
         profile = node.get_publishers_info_by_topic(topic)[0].qos_profile
         assert profile.reliability == ReliabilityPolicy.RELIABLE
-        latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        assert latched == (topic == 'captured')
+        kept = 'TRANSIENT_LOCAL' if topic == 'captured' else 'VOLATILE'
+        assert profile.durability == DurabilityPolicy[kept]
     for topic in ('odom', 'goal', 'goal_path'):
         found = node.get_subscriptions_info_by_topic(topic)
         (heard,) = (each for each in found if each.node_name == 'planner')

@@ -595,16 +595,16 @@ class Compensator:
         problem, time = self._problem, now.time - last.time
         shares = self.history.means(last.time, now.time)
         if self._sideslip:
-            shares = 2 * (0.5 * (last.body_velocity[0] + now.body_velocity[0]) / problem.forward,)
+            seen = 0.5 * float(last.body_velocity[0] + now.body_velocity[0]) / problem.forward
+            shares = seen, seen
         if time > GAP or shares is None:
             return False
         turn, lag, bent = log(last.attitude.T @ now.attitude), self.response.rate, 0.0
         if lag:  # the rate changes first: on average the body is ahead of an even turn, by this
             bent = lag * (-1.0 / math.expm1(-time / lag) - lag / time - 0.5)
         attitude = last.attitude @ exp(bent * (last.body_rate - now.body_rate))
-        once, twice = (
-            attitude @ turned(turn, share * self._full)[i] for i, share in enumerate(shares)
-        )
+        both = zip(shares, turned(turn, self._full), strict=True)
+        once, twice = (share * (attitude @ each) for share, each in both)
         moved = np.array([time * time * twice, time * once])
         step, driven = np.eye(3), np.array([time, 1.0, 0.0])
         step[:2, 2], step[0, 1] = (0.5 * time * time, time), time

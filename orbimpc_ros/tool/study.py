@@ -277,9 +277,14 @@ class Draws:
     @property
     def limit(self) -> float:
         """Return the longest duration of a flight [s]."""
-        values = settings.of_sim(self.values)
-        rate = values['odom_rate']  # a tick is a step, or a period of odometry
-        return float(values['max_ticks'] * (1.0 / rate if rate else values['step']))
+        return float(self.values['max_ticks'] * _tick(self.values))
+
+
+def _tick(values: Values) -> float:
+    """Return the duration of a tick: a step of the simulator, or a period of odometry [s]."""
+    simulated = settings.of_sim(values)
+    rate = simulated['odom_rate']
+    return float(1.0 / rate if rate else simulated['step'])
 
 
 def draws_of(name: str, changes: Sequence[str] = ()) -> Draws:
@@ -353,8 +358,7 @@ def _lasting(values: Values, fixed: Collection[str]) -> Values:
         return values
     away = math.dist(values['rope.center'], values['start.position'])
     way = away / speed if values['translation_order'] == 1 else 2.0 * math.sqrt(away / speed)
-    period = 1.0 / values['odom_rate'] if values['odom_rate'] else values['step']
-    enough = min(math.ceil(4.0 * way / period), settings.ROWS[most].high)
+    enough = min(math.ceil(4.0 * way / _tick(values)), settings.ROWS[most].high)
     return {**values, most: max(values[most], int(enough))}
 
 

@@ -227,7 +227,7 @@ def outvoted(values: Values, full: str) -> list[str]:
                     given = given.astype(float)
             if not np.array_equal(given, values[name]):
                 own = f'give -p {full[1:]}:{rule}' if alone else 'set it in a file'
-                lost.append(f"-p {rule} loses to a file's section for {full}: {own}")
+                lost.append(f'-p {rule} loses to another value for {full}, as in a file: {own}')
     return lost
 
 
