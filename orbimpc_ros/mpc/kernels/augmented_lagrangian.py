@@ -73,18 +73,6 @@ class Iterate(NamedTuple):
     counts: np.ndarray
 
 
-def begun(steps: int, sigma: float) -> Iterate:
-    """Return the initial state of a minimisation.
-
-    Args:
-        steps: N.
-        sigma: the penalty's initial parameter.
-    """
-    numbers = np.array([sigma, -np.inf, np.inf])
-    x, held = np.zeros((steps, 9)), np.zeros((steps, 9))
-    return Iterate(x, held, numbers, np.zeros(2, np.int64))
-
-
 @compiled
 def apply(terms, force, out):
     """Set ``out`` to P times a force, the response of the quadratic.
@@ -177,7 +165,9 @@ def _begin(terms, start, held, force, x, work):
 
     Returns the dual function there, relative to the cost of ``start``: a lower bound.
     """
-    work.bases[:] = np.eye(4)
+    work.bases[:] = 0.0
+    for i in range(4):
+        work.bases[:, i, i] = 1.0
     least = set_forces(terms, held, force)
     apply(terms, force, x)
     least += inner(force, start) - 0.5 * inner(force, x)
@@ -273,9 +263,7 @@ def minimise(terms, start, held, limits, work, progress, budget):
     largest, (x, held_force, numbers, counts) = limits[4], progress
     trial, direction, force = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     residual, change = np.empty_like(start), np.empty_like(start)
-    new = TermMultipliers(
-        np.zeros_like(held.orbitopes), np.zeros_like(held.lengths), np.zeros_like(held.rows)
-    )
+    new = TermMultipliers(held.orbitopes.copy(), held.lengths.copy(), held.rows.copy())
     if counts[STEPS] == 0:
         numbers[BEST] = _begin(terms, start, held, held_force, x, work)
         if numbers[BEST] > 0.0:

@@ -42,6 +42,16 @@ def add_product(matrix, x, share, out):
 
 
 @compiled
+def largest(matrix):
+    """Return the largest magnitude of an entry."""
+    most = 0.0
+    for row in matrix:
+        for each in row:
+            most = max(most, abs(each))
+    return most
+
+
+@compiled
 def set_basis(by):
     """Set an orthonormal basis about the vector in the first row, e_1 if it is zero; (n, n)."""
     square = 0.0

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.kernels.linear import solve_spd
+from orbimpc_ros.mpc.kernels.linear import largest, solve_spd
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.relax import cost_of, rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, least_speed
@@ -297,10 +297,8 @@ def descend(posed, ring, speeds, turns, z):
     Returns:
         False if no speeds were found that change within the limit.
     """
-    chain, curvature, limited = np.zeros((len(z), 2)), 0.0, ring.change < np.inf
-    for k in range(len(z)):
-        curvature = max(curvature, posed.hessian[k, k])
-    stiff = STIFF * curvature if limited else 0.0
+    chain, limited = np.zeros((len(z), 2)), ring.change < np.inf
+    stiff = STIFF * largest(posed.hessian) if limited else 0.0
     for _ in range(ROUNDS):
         _descend(posed, ring, chain, stiff, speeds, turns, z)
         worst = 0.0

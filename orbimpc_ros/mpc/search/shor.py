@@ -34,6 +34,7 @@ from orbimpc_ros.mpc.kernels.linear import (
     copy_to,
     extend_factor,
     invert_spd,
+    largest,
     solve_factored,
     solve_spd,
 )
@@ -369,7 +370,7 @@ def certify(posed, z, pull, tree, cutoff):
     _stiffen(posed, stiffened, right)
     there, column, held = np.empty((count, n)), np.empty(count), np.zeros(n)
     _add_moduli(posed, z, pull, theta, right)
-    top = np.abs(posed.hessian).max()
+    top = largest(posed.hessian)
     for share in SPARES:
         copy_to(matrix, stiffened)
         for k in range(count):
@@ -397,7 +398,7 @@ def certify(posed, z, pull, tree, cutoff):
 @compiled
 def _begin(posed, held, progress, rows, weights):
     """Set the initial multipliers and mu; return the scale of q and H."""
-    scale = np.abs(posed.q).max() + np.abs(posed.hessian).max() + 1e-300
+    scale = largest(posed.q) + largest(posed.hessian) + 1e-300
     going, mu = progress[TAKEN] > 0.0, progress[MU]
     if not going:
         mu = progress[MU] = min(scale, SMOOTHED * mu) if mu > 0.0 else scale

@@ -26,7 +26,6 @@ from orbimpc_ros.mpc.kernels.augmented_lagrangian import (
     REFUTED,
     SETTLED,
     Iterate,
-    begun,
     minimise,
 )
 from orbimpc_ros.mpc.kernels.penalty_terms import Terms, multipliers, scratch
@@ -214,7 +213,8 @@ class SO3Multipliers:
     def _minimise(self, terms: Terms, request: Request) -> tuple[Iterate, int]:
         first, largest = (self._scale * sigma for sigma in SIGMA)
         limits = PRECISION, GAP, self._least, self._rounding, largest
-        progress = begun(self.problem.horizon, first)
+        x, numbers = np.zeros_like(self._start), np.array([first, -np.inf, np.inf])
+        progress = Iterate(x, x.copy(), numbers, np.zeros(2, np.int64))
         while True:
             status = minimise(terms, self._start, self._held, limits, self._work, progress, SLICE)
             if status != PAUSED or request.late:
