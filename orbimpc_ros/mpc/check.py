@@ -310,9 +310,10 @@ def _off_projection(plan: Plan, first: int) -> float:
     if not plane:
         m = np.swapaxes(q, 1, 2) @ r
         m = m[:, 1:, 1:] if plan.projection == 'thrust_aligned' else m
-        transposed = np.swapaxes(m, 1, 2)
-        pairs = np.linalg.eigvalsh(0.5 * (m + transposed))[:, :2].sum(axis=1)
-        strays += [np.abs(m - transposed), -pairs]
+        transposed, least = np.swapaxes(m, 1, 2), np.einsum('kcc->k', m)
+        if m.shape[2] == 3:  # the sum of two eigenvalues is least without the largest
+            least = least - np.linalg.eigvalsh(0.5 * (m + transposed))[:, 2]
+        strays += [np.abs(m - transposed), -least]
     return max(float(each.max(initial=0.0)) for each in strays)
 
 

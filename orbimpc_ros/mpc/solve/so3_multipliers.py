@@ -91,7 +91,8 @@ class SO3Multipliers:
             self._build_general()
         if bare(minimise) is minimise:
             # The first call compiles or loads machine code: at start-up rather than in a tick.
-            self.relax(Request(_rest(self._coasting), np.zeros((steps, 3))))
+            still = State.at(np.zeros(3), np.eye(3), coasted=np.eye(3))
+            self.relax(Request(still, np.zeros((steps, 3))))
 
     @property
     def _may_need_general(self) -> bool:
@@ -134,7 +135,7 @@ class SO3Multipliers:
         """Compute the data that depend only on state and goals."""
         problem, state, thrust, others = self.problem, request.state, self._thrust, self._others
         self._request, self._least, self._fraction = request, first_length(problem, state), 1.0
-        data = np.pad(knowns(state, request.goals), ((0, 1), (0, 0)))
+        data = np.concatenate([knowns(state, request.goals), np.zeros((1, 9))])
         if self._coasting:
             assert state.coasted is not None
             self._first = coordinates(state.coasted)
@@ -260,8 +261,3 @@ class SO3Multipliers:
 def _within(x: Array) -> Array:
     """Return rotation coordinates, shape (N, 9), scaled down into their orbitopes."""
     return x / (1.0 + np.maximum(0.0, -margin(matrix(x))))[:, None]
-
-
-def _rest(coasting: bool) -> State:
-    still = np.eye(3)
-    return State.at(np.zeros(3), still, coasted=still if coasting else None)
