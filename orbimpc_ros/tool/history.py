@@ -240,8 +240,8 @@ def text(flown: Mapping[str, History]) -> str:
 def ending(flight: History) -> str:
     """Return in a line how a flight ended."""
     job, span = 'arrived' if flight.arrives else 'captured', flight.times[-1] - flight.times[0]
-    apart = np.linalg.norm(flight.positions[-1] - flight.ropes[-1])
-    speed = np.linalg.norm(flight.velocities[-1])
+    apart = round(np.linalg.norm(flight.positions[-1] - flight.ropes[-1]), 6)
+    speed = round(np.linalg.norm(flight.velocities[-1]), 6)
     done = f'{job} at' if flight.captured else f'not {job} by'
     return f'{done} t = {span:.2f} s, {apart:.2g} m from the goal, {speed:.2g} m/s'
 
