@@ -183,7 +183,7 @@ def launched_with(name, words, domain, monkeypatch):
     ('name', 'parameters', 'words', 'said'),
     [
         ('retrieval', None, [], 'wanted.yaml: no such file; params_file'),
-        ('fleet', None, [], 'wanted.yaml: no such file; params_file'),
+        ('fleet', '', ['vehicles:=x'], "vehicles is 'x'; allowed: an integer in [1, 64]"),
         ('retrieval', '/**/sim: {ros__parameters: {step: 0.1, max_ticks: 2}}', ['clock:=wall'],
          'sim-2 ended with code 1'),
         ('retrieval', '/**: {ros__parameters: {trigger: timer, max_ticks: 2}}', [],

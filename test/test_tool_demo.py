@@ -15,6 +15,7 @@ from bags import check_pictures, messages_of, read
 from harness import TOOL, alive, children_of, orbimpc, ran_here, wait_for
 from rosbags.rosbag2 import Reader
 
+from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.entry import PACKAGES
 from orbimpc_ros.ros.messages import SECOND
 from orbimpc_ros.sim.fleet import vehicles
@@ -283,12 +284,11 @@ def test_bodies_of_a_fleet_have_frames_of_their_own_in_one_world(fleet):
 
 
 def test_ropes_are_drawn_from_the_seed_alone():
-    assert vehicles('fleet', 3) == vehicles('fleet', 3)
     assert vehicles('fleet', 3) != vehicles('fleet', 3, seed=1)
+    with pytest.raises(BadInput):
+        vehicles('fleet', 3, seed=-1)
     few, many = vehicles('fleet', 3), vehicles('fleet', 8)
-    for name, one in few.items():
-        for drawn in ('rope.frequency', 'rope.phase'):
-            assert one[drawn] == many[name][drawn]
+    assert all(few[n][p] == many[n][p] for n in few for p in ('rope.frequency', 'rope.phase'))
     frequencies = {each['rope.frequency'] for each in many.values()}
     assert len(frequencies) == 8
     assert vehicles('fleet', 2, 2**31 - 1)['/uav1']['seed'] == 0  # the seed after the largest one

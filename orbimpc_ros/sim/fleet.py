@@ -10,7 +10,7 @@ import numpy as np
 
 from orbimpc_ros.mpc.arrays import whole
 
-MOST = 64  # vehicles
+MOST, LARGEST_SEED = 64, 2**31 - 1  # of vehicles; of all seeds
 RING = 1.5  # [m] radius of the ring of starts
 AHEAD = (7.0, 9.0)  # [m] from a start to the centre of its rope's swing
 SWING = 0.5  # [m] amplitude of the swing along each axis
@@ -33,9 +33,10 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
         seed: of the random draws; those of a vehicle depend on its number, too, not on ``count``.
 
     Raises:
-        BadInput: ``count`` is not in [1, 64].
+        BadInput: ``count`` is not in [1, 64], or ``seed`` not in [0, 2^31 - 1].
     """
     parameters = dict[str, Parameters]()
+    whole(seed, 'seed', 0, LARGEST_SEED)
     for number in range(whole(count, 'vehicles', 1, MOST)):
         rng, place = np.random.default_rng([seed, number]), 2.0 * math.pi * number / count
         outwards = np.array([math.cos(place), math.sin(place)])
@@ -55,6 +56,6 @@ def vehicles(fleet: str, count: int, seed: int = 0) -> dict[str, Parameters]:
             'rope.phase': (*phase.tolist(), 0.0),
             'start.position': (*start.tolist(), 0.0),
             'start.orientation': (0.0, 0.0, math.sin(half), math.cos(half)),
-            'seed': (seed + number + 1) % 2**31,
+            'seed': (seed + number + 1) % (LARGEST_SEED + 1),
         }
     return parameters

@@ -32,6 +32,7 @@ from orbimpc_ros.mpc.errors import BadInput
 from orbimpc_ros.ros.process import RANGE
 from orbimpc_ros.ros.topics import AUTOPILOTS
 from orbimpc_ros.sim.fleet import FLEETS, vehicles
+from orbimpc_ros.tool.files import parse
 
 RECORDED = 'odom, goal, cmd_vel, rotation, plan, tick'  # topics whose recording starts a flight
 AUTO, SWITCH = 'auto', ('true', 'false')
@@ -41,9 +42,10 @@ Values = Mapping[str, object]
 def flight(scenario: str = 'retrieval') -> LaunchDescription:
     """Return the launch of a scenario's planner and simulator, which ends with the flight."""
     timed = 'of the planner; auto: only in lock-step, where the simulator publishes /clock'
+    scenarios = {file.stem for file in _configs().glob('*.yaml')} - {*AUTOPILOTS, *FLEETS}
     return _described(
         partial(_simulated, False),
-        _argument('scenario', scenario, 'scenario: a file in config/', _scenarios()),
+        _argument('scenario', scenario, 'scenario: a file in config/', sorted(scenarios)),
         *_common("the scenario's", 'both nodes'),
         _argument(
             'clock', 'lockstep', 'simulated time as fast as possible, or real', ('lockstep', 'wall')
@@ -91,7 +93,9 @@ def _simulated(several: bool, context: LaunchContext) -> list[Action]:
     common: Values = {'clock': clock, 'exit_when_done': config['exit_when_done'] == 'true'}
     if recorded:  # the flight waits for the recorder's subscriptions
         common = {**common, 'wait_for': RECORDED}
-    drawn = vehicles('fleet', int(config['vehicles']), int(config['seed'])) if several else {'': {}}
+    drawn: Mapping[str, Values] = {'': {}}
+    if several:
+        drawn = vehicles('fleet', *(parse(config[each], each) for each in ('vehicles', 'seed')))
     planners, sims = [], []
     for namespace, own in drawn.items():
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in own.items()}
@@ -186,8 +190,3 @@ def _argument(
 
 def _configs() -> Path:
     return Path(get_package_share_directory('orbimpc_ros')) / 'config'
-
-
-def _scenarios() -> list[str]:
-    """Return the names of the parameter files of a single simulated vehicle."""
-    return sorted({file.stem for file in _configs().glob('*.yaml')} - {*AUTOPILOTS, *FLEETS})
