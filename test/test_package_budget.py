@@ -9,12 +9,12 @@ LINES = {
     'orbimpc_ros/mpc': 14_614,
     'orbimpc_ros/loop': 3_158,
     'orbimpc_ros/ros': 4_043,
-    'orbimpc_ros/sim': 2_179,
-    'orbimpc_ros/tool': 4_045,
+    'orbimpc_ros/sim': 2_180,
+    'orbimpc_ros/tool': 4_044,
     'benchmarks': 3_352,
     'test': 18_000,
 }
-WORDS = {'docs': 23_657, 'README.md': 900}
+WORDS = {'docs': 23_680, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)
