@@ -253,11 +253,7 @@ def turned(sine):
             ORTHOGONAL,
             'the second rotation is not the first turned',
         ),
-        (
-            lambda e: resting().off('projected', slice(3, None), turned(e)),
-            TOLERANCE,
-            STRAYS,
-        ),
+        (lambda e: resting().off('projected', slice(3, None), turned(e)), TOLERANCE, STRAYS),
     ],
 )
 def test_a_plan_may_be_off_by_exactly_its_tolerance(made, allowed, complaint):

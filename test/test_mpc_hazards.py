@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plans import assembled, straight
-from problems import needs_machine_code, polled
+from problems import COMPILED, needs_machine_code, polled
 from stepping import Stepped, odometry
 
 from orbimpc_ros.loop.compensation import Odometry
@@ -92,7 +92,9 @@ MODELS = [
     {'translation_order': 2},
     {'translation_order': 2, 'discretisation': 'exact'},
     {'max_rate': 1.5, 'floor': Floor('circle')},
+    {'floor': Floor('circle')},
     {'dimension': 3, 'weights': Weights(input=0.0)},
+    {'dimension': 3, 'weights': Weights(input=0.0), 'floor': Floor('circle')},
 ]
 
 
@@ -104,11 +106,14 @@ def test_a_solver_takes_states_with_any_number_of_hazards_in_turn(model):
     goals = np.tile(np.eye(n)[0] * 6.0, (problem.horizon, 1))
     for count in (2, 0, 3, 1):
         start = State.at(np.zeros(n), np.eye(n), hazards=crossing(rng, n, count))
-        plan, anew = (
-            each.solve(start, goals) for each in (solver, Solver(problem, gap_tolerance=tolerance))
-        )
+        fresh = Solver(problem, gap_tolerance=tolerance)
+        plan, anew = (each.solve(start, goals) for each in (solver, fresh))
         assert violations(problem, start, goals, plan) == []
         assert plan.objective == pytest.approx(anew.objective, rel=2e-3)
+    far = (still(np.full(n, -9.0), 1.0),)
+    alone, aside = (solver.solve(replace(start, hazards=each), goals) for each in ((), far))
+    assert aside.objective == pytest.approx(alone.objective, rel=2e-3)
+    assert aside.proof.nodes <= 1 or not COMPILED  # a body out of the way takes no search
 
 
 @pytest.mark.parametrize('model', MODELS)

@@ -289,11 +289,7 @@ ENGINES = {'cessna': aircraft, 'hummingbird': multirotor, 'servicer': spacecraft
 
 @pytest.mark.parametrize(
     ('name', 'own', 'seconds'),
-    [
-        ('cessna', {'gust': 1.0}, 10.0),
-        ('hummingbird', {'gust': 0.8}, 0.5),
-        ('servicer', {}, 20.0),
-    ],
+    [('cessna', {'gust': 1.0}, 10.0), ('hummingbird', {'gust': 0.8}, 0.5), ('servicer', {}, 20.0)],
 )
 def test_a_seed_brings_the_same_air_and_vehicle_again(request, name, own, seconds):
     request.getfixturevalue(name)

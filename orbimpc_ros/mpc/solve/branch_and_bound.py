@@ -5,8 +5,9 @@ Best first: the open node with the least bound is solved next, so that no node i
 already exceeds the optimum. Until it is solved, a child has its parent's bound raised by one exact
 dual step (:mod:`orbimpc_ros.mpc.solve.regions`). The search tree is also the proof.
 
-Incumbents come from :mod:`orbimpc_ros.mpc.solve.dives`; with a turn limit in space the first one
-comes from the problem in a plane (:mod:`orbimpc_ros.mpc.solve.planar_way`).
+Incumbents come from :mod:`orbimpc_ros.mpc.solve.dives`; the first one comes from the problem
+without bodies, or with a turn limit in space from that in a plane
+(:mod:`orbimpc_ros.mpc.solve.planar_way`).
 
 Mathematics: docs/mathematics.md, 4.9 and 5.3.
 """
@@ -32,15 +33,14 @@ from orbimpc_ros.mpc.solve.planar_way import PlanarWay
 from orbimpc_ros.mpc.solve.proof_tree import Node, ProofWriter
 from orbimpc_ros.mpc.solve.regions import Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import Relaxation, Relaxed
-from orbimpc_ros.mpc.solve.request import Found, Request
+from orbimpc_ros.mpc.solve.request import Found, Request, bodiless
 from orbimpc_ros.mpc.solve.so3_multipliers import SO3Multipliers
-from orbimpc_ros.mpc.solve.stand_ins import sound
 
 NEAR = 0.05  # a dive is tried if only round floors and balls are violated, by less than this
 NOTHING = 'no trajectory satisfies the constraints'
-ALONE = 'only paths in the plane of heading and goal were searched'
+IN_PLANE = 'only paths in the plane of heading and goal were searched'
 FRUITLESS = 20  # relaxations without a trajectory, after which one is found without a search
-FIRST, LONGEST = 3, 30  # rounds of the search for a path in a plane that meets bodies, or none
+FIRST, LONGEST = 3, 30  # rounds of the search for a path that meets bodies, or none
 MAX_NODES = 20_000
 MAX_REFUTED = 2_000  # nodes of a search for a proof alone
 HALFWAY = 50.0  # factor on the tolerance where nodes cost alike: half of a plan's gap tolerance
@@ -63,16 +63,18 @@ class BranchAndBound:
         among = among or len(problem.boxes) < len(problem.obstacles)
         rounded = problem.dimension == 3 and problem.floor.radius > 0.0
         self._plane = PlanarWay(problem, 0.5 * tolerance) if PlanarWay.leads(problem) else None
-        # In two dimensions the bound of a path without bodies holds among them, too.
-        self._bounding = self._plane.search if self._plane and problem.dimension == 2 else None
-        slow = problem.has_cones or among or rounded or self._plane is not None
+        self._beside = among or bool(problem.obstacles)
+        # Without a floor, the relaxation of the root finds the path without bodies.
+        floored = self._beside and problem.floor.exists
+        self._alone = bodiless(problem, 0.5 * tolerance) if floored else None
+        turned = problem.turns_are_angles and (self._plane or self._alone) is not None
+        slow = problem.has_cones or among or rounded or turned
         self.tolerance = (HALFWAY if slow else 1.0) * tolerance
         # A single relaxation needs no warm start.
         self.takes_guess = problem.floor.exists or bool(problem.obstacles) or among
         self._regions = Regions(problem)
         spread = problem.weights.position or problem.weights.attitude or problem.obstacles or among
-        self._in_plane = self._plane is not None and problem.dimension == 3 and not spread
-        self._beside = among or bool(problem.obstacles)
+        self._in_plane = self._plane is not None and not spread
         if not self._in_plane:  # there, with a deadline no program is solved
             _ = self.program
 
@@ -82,25 +84,19 @@ class BranchAndBound:
         Raises:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
-        path = Found() if self._plane is None else self._path(self._plane, request)
+        path = self._path(request)
         if path.x is not None and self._in_plane and request.hurried:
             return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
         among = traffic_of(self.problem, request.state) is not None
-        return self._latest.run(path, self._bounding, among=among)
+        return self._latest.run(path, self._alone, among=among)
 
-    def _path(self, plane: PlanarWay, request: Request) -> Found:
-        """Return the best path in a plane without bodies; if it meets one, the first found."""
-        if self._in_plane:
-            return replace(plane.solve(request), reason=ALONE)
-        path = plane.solve(request._replace(rounds=FIRST))
-        search = self._bounding
-        if search is None or search.has_ended or not any(sound(self.problem, request, [path.x])):
-            return path
-        rounds = LONGEST if request.hurried else np.inf
-        longer = search.resumed(request._replace(rounds=rounds))
-        clear = any(sound(self.problem, request, [longer.x]))
-        return longer if clear else replace(longer, x=path.x)
+    def _path(self, request: Request) -> Found:
+        """Return the best path without bodies, or the first found."""
+        if self._plane is not None and self._in_plane:
+            return replace(self._plane.solve(request), reason=IN_PLANE)
+        leading = self._plane or self._alone
+        return Found() if leading is None else leading.solve(request._replace(rounds=FIRST))
 
     @cached_property
     def program(self) -> Relaxed:
@@ -136,12 +132,12 @@ class Search:
         self._nodes = [Node(0, -np.inf, regions.root())]
         self._open = [self._nodes[0]]
 
-    def run(self, path: Found, plane: TreeSearch | None, *, among: bool) -> Found:
+    def run(self, path: Found, alone: TreeSearch | None, *, among: bool) -> Found:
         """Run the search; the first incumbents are beside paths.
 
         Args:
             path: that ignores bodies, or none; its bound holds among them too.
-            plane: the search for that path, which goes on between nodes.
+            alone: the search for that path, which goes on between nodes.
             among: whether paths are followed from the root: the best trajectory, and this one.
         """
         regions, best, root, stood_in = self._regions, self._dives, self._nodes[0], False
@@ -149,6 +145,8 @@ class Search:
             raise Infeasible(NOTHING)
         if path.x is not None:
             best.offer(path.x)
+            if alone is not None and best.x is path.x and not alone.has_ended:
+                path = self._onward(path, alone, LONGEST if self._request.hurried else np.inf)
         most = min(MAX_NODES, self._request.rounds)
         while self._open and max(path.lower_bound, self._open[0].bound) < self._limit:
             if best.solved >= most or (best.solved and self._request.late):
@@ -162,20 +160,20 @@ class Search:
                     if x is not None:
                         best.dive(regions.headings(x), self._rows(root))
                 among = False
-            if plane is not None and not plane.has_ended:
-                path = self._onward(path, plane)
+            if alone is not None and not alone.has_ended:
+                path = self._onward(path, alone, 0.0)
         if best.x is None:
             best.recall()
-        return self._found(path, plane)
+        return self._found(path, alone)
 
-    def _onward(self, path: Found, plane: TreeSearch) -> Found:
-        """Return the path after another round of its search; offer it if it is cheaper."""
-        longer = plane.resumed(self._request._replace(rounds=0.0))
+    def _onward(self, path: Found, alone: TreeSearch, rounds: float) -> Found:
+        """Return the path after more rounds of its search; offer it if it is cheaper."""
+        longer = alone.resumed(self._request._replace(rounds=rounds))
         if longer.x is not None and longer.cost < path.cost:
             self._dives.offer(longer.x)
         return longer
 
-    def _found(self, path: Found, plane: TreeSearch | None) -> Found:
+    def _found(self, path: Found, alone: TreeSearch | None) -> Found:
         """Return the incumbent with the better bound and its proof: the tree's or the path's.
 
         Raises:
@@ -185,8 +183,8 @@ class Search:
         lower = min([self._closed, best.cost, *(node.bound for node in self._open)])
         if max(lower, root.bound) == np.inf:
             raise Infeasible(NOTHING, self._leaves.tree(self._nodes))
-        if plane is not None and path.lower_bound >= lower and not path.proofs:
-            path = plane.proved(request, path)
+        if alone is not None and path.lower_bound >= lower and not path.proofs:
+            path = alone.proved(request, path)
         if path.proofs and path.lower_bound >= lower:
             return replace(path, x=best.x, cost=best.cost, nodes=best.solved)
         # The root alone is the proof, if its bound is as good.

@@ -130,7 +130,9 @@ class Dives:
                 return
             missed = regions.missed(headings)
             if missed:
-                held = held | regions.tangents(headings, missed, rows)
+                # At first all floors, too: beside bodies the path would slow down and turn back.
+                floors = regions.floors if held is rows else []
+                held = held | regions.tangents(headings, [*missed, *floors], rows)
             else:
                 flat = held is not rows and not any(map(regions.is_round, held))
                 if flat or slow:  # flat sides stay where they are: there is little to gain

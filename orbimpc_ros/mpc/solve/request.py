@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import NamedTuple, Protocol
+from itertools import starmap
+from typing import Any, NamedTuple, Protocol
 
 from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.problem import Problem, State
@@ -133,9 +134,20 @@ def method_for(
         among: whether states come with hazards, which only the last method handles.
     """
     options = {'among': True} if among else {}
-    for place, name in [PACED] * bool(problem.max_acceleration) + METHODS * (not among) + [GENERAL]:
-        method = getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
-        if among or (place, name) == GENERAL or method.solves(problem):
+    for place in [PACED] * bool(problem.max_acceleration) + METHODS * (not among) + [GENERAL]:
+        method = _imported(*place)
+        if among or place == GENERAL or method.solves(problem):
             break
     made: Method = method(problem, tolerance, coasting=coasting, **options)
     return made
+
+
+def bodiless(problem: Problem, tolerance: float) -> Any:
+    """Return the search over stage sets for a problem without its bodies; None without one."""
+    alone = replace(problem, obstacles=())
+    fitting = (method for method in starmap(_imported, METHODS) if method.solves(alone))
+    return next((method(alone, tolerance) for method in fitting), None)
+
+
+def _imported(place: str, name: str) -> Any:
+    return getattr(import_module(f'orbimpc_ros.mpc.{place}'), name)
