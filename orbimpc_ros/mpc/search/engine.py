@@ -62,7 +62,7 @@ class TreeSearch:
         """Compile or load the machine code by its first call: at start-up, not in a tick."""
         if bare(self._search) is self._search:
             steps, n = self._problem.horizon, self._problem.dimension
-            start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n))
+            start = State.at(np.zeros(n), np.eye(n), wanted=np.eye(n), coasted=np.eye(n))
             with suppress(Infeasible):
                 self.solve(Request(start, np.zeros((steps, n)), out_of_time=lambda: True))
         self._search = bare(self._search)
@@ -170,20 +170,23 @@ class PlanarSearch(TreeSearch):
         self._prepare()
 
     @staticmethod
-    def solves(problem: Problem) -> bool:
-        """Return True if stage sets express all limits of a problem, and there is machine code."""
-        floor, aimed = problem.floor, problem.approach.exists
+    def solves(problem: Problem, *, coasting: bool = False) -> bool:
+        """Return True if stage sets express all limits of a problem, and there is machine code.
+
+        At rotation order 2, states have to come with a ``coasted`` rotation.
+        """
+        floor, aimed, late = problem.floor, problem.approach.exists, problem.rotation_order == 2
         changes = problem.max_rate > 0.0 or problem.max_acceleration > 0.0
         disks = not any((floor.exists, changes, aimed))
         straight = (disks or floor.shape == 'polygon') and not problem.weights.length
-        kind = problem.dimension, problem.rotation_order, problem.terminal
+        kind = problem.dimension, problem.rotation_order - coasting * late, problem.terminal
         longest = LONGEST_INERTIAL if disks and problem.inertial else LONGEST
         return all(
             (
                 COMPILED,
                 kind == (2, 1, 'penalty'),
                 not problem.obstacles,
-                straight or (floor.shape == 'circle' and changes),
+                straight or (floor.shape == 'circle' and (changes or late)),
                 not (aimed and floor.fraction < problem.least_heading),
                 problem.horizon <= longest,
             )
@@ -204,7 +207,8 @@ class PlanarSearch(TreeSearch):
 
     def _ring(self, state: State) -> Ring:
         """Return the floor and the limits of headings and speeds from a state."""
-        problem, ahead = self._problem, state.attitude[:, 0]
+        problem, decided = self._problem, self._problem.rotation_order - 1
+        ahead = (state.attitude if state.coasted is None or not decided else state.coasted)[:, 0]
         entry, change, last, within = 1.0, np.inf, 0.0, math.pi
         if problem.max_acceleration > 0.0:
             entry, change = entry_speed(problem, state), problem.speed_change
@@ -213,4 +217,4 @@ class PlanarSearch(TreeSearch):
             last, within = math.atan2(axis[1], axis[0]), problem.approach.cone + LEEWAY
         first = math.atan2(ahead[1], ahead[0])
         floor = self._floor, self._faces, self._widest
-        return Ring(*floor, first, entry, change, last, within)
+        return Ring(*floor, first, entry, change, last, within, decided)

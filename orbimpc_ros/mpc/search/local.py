@@ -21,7 +21,7 @@ from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.linear import largest, solve_spd
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.relax import cost_of, rise_of
-from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, least_speed
+from orbimpc_ros.mpc.search.ring import HALF, HIGH, LOW, TURN, least_speed
 
 STEPS = 40  # most steps of Newton's method
 SETTLED = 1e-9  # relative decrease of the cost at which it ends
@@ -84,7 +84,10 @@ def round_off(ring, x, sector, speeds, turns):
             middle = min(high, max(low, before))
             angle = raw + TURN * np.round((middle - raw) / TURN)
         angle = min(high, max(low, angle))
-        turns[k] = min(WITHIN * ring.widest, max(-WITHIN * ring.widest, angle - before))
+        turn = angle - before
+        if ring.widest >= HALF:
+            turn -= TURN * np.round(turn / TURN)
+        turns[k] = min(WITHIN * ring.widest, max(-WITHIN * ring.widest, turn))
         before += turns[k]
         rho = least_speed(ring.fraction, ring.faces, before)
         along = np.cos(before) * x[k, 0] + np.sin(before) * x[k, 1]
@@ -256,7 +259,8 @@ def _descend(posed, ring, chain, stiff, speeds, turns, z):
     for k in range(count):
         y[k], y[count + k] = speeds[k], turns[k]
         bounds[k, 0], bounds[k, 1] = 0.0, 1.0
-        bounds[count + k, 0], bounds[count + k, 1] = -WITHIN * ring.widest, WITHIN * ring.widest
+        widest = WITHIN * ring.widest if k >= ring.decided else 0.0
+        bounds[count + k, 0], bounds[count + k, 1] = -widest, widest
     set_headings(ring, speeds, turns, z)
     damping = DAMPED
     for _ in range(STEPS):

@@ -43,11 +43,12 @@ class Ring(NamedTuple):
             without a floor.
         faces: number of faces of the polygon, 0 for the circle.
         widest: the largest turn in a step [rad]; at least pi if unlimited.
-        first: the heading at the start [rad].
+        first: the heading at the start, and of the decided steps [rad].
         entry: the speed that the first change starts from.
         change: the largest change of speed in a step; inf if unlimited.
         last: desired direction of the last heading [rad].
         within: largest deviation from it [rad]; pi if unconstrained.
+        decided: number of first steps whose headings the state decides, but for their speeds.
     """
 
     fraction: float
@@ -58,6 +59,7 @@ class Ring(NamedTuple):
     change: float
     last: float
     within: float
+    decided: int
 
 
 @compiled

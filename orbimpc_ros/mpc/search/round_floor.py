@@ -229,7 +229,7 @@ class RoundFloor(TreeSearch):
         return BranchAndBound(self._problem, self._tolerance)
 
     @staticmethod
-    def solves(problem: Problem) -> bool:
+    def solves(problem: Problem, *, coasting: bool = False) -> bool:
         """Return True if this method applies to a problem."""
         constrained = problem.terminal == 'constraint'
         arrives = constrained or problem.arrival_weight > 0.0

@@ -215,7 +215,8 @@ def set_reachable(ring, sector):
     """Set the sectors to reachable headings and speeds; return False if there are none."""
     limited, end = ring.widest < HALF, len(sector) - 1
     for k in range(len(sector)):
-        reach = (k + 1) * ring.widest if limited else np.pi
+        free = k + 1 - ring.decided
+        reach = free * ring.widest if limited else min(1, free) * np.pi
         changed = (k + 1) * ring.change
         sector[k, LOW], sector[k, HIGH] = ring.first - reach, ring.first + reach
         sector[k, SLOW] = max(ring.fraction, ring.entry - changed)
@@ -493,7 +494,7 @@ def _choose(posed, ring, tree, node, room):
     """Round the point of a relaxation; return the choice to split (-1 for none), where and how."""
     counts, sector, z = tree.counts, tree.sectors[node], tree.z[node]
     choice, cut, parts = _branching(ring, posed.inverse, z, sector)
-    if choice < 0 and ring.change == np.inf and ring.within >= HALF:
+    if choice < 0:
         take_better(posed, tree, z)
     elif ring.fraction > 0.0:
         share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # at powers of two

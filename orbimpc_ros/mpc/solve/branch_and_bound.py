@@ -66,7 +66,7 @@ class BranchAndBound:
         self._beside = among or bool(problem.obstacles)
         # Without a floor, the relaxation of the root finds the path without bodies.
         floored = self._beside and problem.floor.exists
-        self._alone = bodiless(problem, 0.5 * tolerance) if floored else None
+        self._alone = bodiless(problem, 0.5 * tolerance, coasting=coasting) if floored else None
         turned = problem.turns_are_angles and (self._plane or self._alone) is not None
         slow = problem.has_cones or among or rounded or turned
         self.tolerance = (HALFWAY if slow else 1.0) * tolerance

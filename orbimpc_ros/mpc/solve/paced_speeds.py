@@ -58,9 +58,11 @@ class PacedSpeeds:
         self._regions = Regions(problem)
 
     @staticmethod
-    def solves(problem: Problem) -> bool:
+    def solves(problem: Problem, *, coasting: bool = False) -> bool:
         """Return True if there is a limit, and no faster method for it."""
-        return problem.max_acceleration > 0.0 and not PlanarSearch.solves(problem)
+        return problem.max_acceleration > 0.0 and not PlanarSearch.solves(
+            problem, coasting=coasting
+        )
 
     def solve(self, request: Request) -> Found:
         """Return the best trajectory found, with the bound of the problem without the limit.

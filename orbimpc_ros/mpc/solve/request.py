@@ -136,16 +136,16 @@ def method_for(
     options = {'among': True} if among else {}
     for place in [PACED] * bool(problem.max_acceleration) + METHODS * (not among) + [GENERAL]:
         method = _imported(*place)
-        if among or place == GENERAL or method.solves(problem):
+        if among or place == GENERAL or method.solves(problem, coasting=coasting):
             break
     made: Method = method(problem, tolerance, coasting=coasting, **options)
     return made
 
 
-def bodiless(problem: Problem, tolerance: float) -> Any:
+def bodiless(problem: Problem, tolerance: float, *, coasting: bool) -> Any:
     """Return the search over stage sets for a problem without its bodies; None without one."""
-    alone = replace(problem, obstacles=())
-    fitting = (method for method in starmap(_imported, METHODS) if method.solves(alone))
+    alone, methods = replace(problem, obstacles=()), starmap(_imported, METHODS)
+    fitting = (method for method in methods if method.solves(alone, coasting=coasting))
     return next((method(alone, tolerance) for method in fitting), None)
 
 
