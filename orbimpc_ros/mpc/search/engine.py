@@ -173,11 +173,12 @@ class PlanarSearch(TreeSearch):
     def solves(problem: Problem, *, coasting: bool = False) -> bool:
         """Return True if stage sets express all limits of a problem, and there is machine code.
 
-        At rotation order 2, states have to come with a ``coasted`` rotation.
+        At rotation order 2 this takes a ``coasted`` rotation, and a floor: without one the optimum
+        has to come from the interior-point method, for which the first set has no interior.
         """
         floor, aimed, late = problem.floor, problem.approach.exists, problem.rotation_order == 2
         changes = problem.max_rate > 0.0 or problem.max_acceleration > 0.0
-        disks = not any((floor.exists, changes, aimed))
+        disks = not any((floor.exists, changes, aimed, late))
         straight = (disks or floor.shape == 'polygon') and not problem.weights.length
         kind = problem.dimension, problem.rotation_order - coasting * late, problem.terminal
         longest = LONGEST_INERTIAL if disks and problem.inertial else LONGEST
