@@ -44,7 +44,7 @@ from orbimpc_ros.mpc.search.best_first import (
     take,
 )
 from orbimpc_ros.mpc.search.engine import SETTLED, TreeSearch
-from orbimpc_ros.mpc.search.relax import StageProblem, rise_of
+from orbimpc_ros.mpc.search.relax import rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, cut_near, take_part
 from orbimpc_ros.mpc.search.shells import (
     ACTIVE,
@@ -57,7 +57,7 @@ from orbimpc_ros.mpc.search.shells import (
     set_out,
 )
 from orbimpc_ros.mpc.search.shor import GOING, KINDS, PRUNED, certify, climb, priced_branching
-from orbimpc_ros.mpc.search.tree import KEY, MOST_ARCS, Tree, branch, plant, take_better, tree_for
+from orbimpc_ros.mpc.search.tree import KEY, MOST_ARCS, branch, plant, take_better, tree_for
 from orbimpc_ros.mpc.solve.request import Found, Method, Request
 
 # In Tree.counts: node whose climb ended last; whether a descent from there is due; next start.
@@ -256,18 +256,18 @@ class RoundFloor(TreeSearch):
         descent = Descent(np.zeros((steps, n)), np.zeros(n), np.zeros(6))
         guesses = [] if guess is None else [guess[:, :n]]
         starts = np.array([*guesses, -(self._inverse @ posed.q)])
-        self._attitude = request.state.attitude
         result = self._run(request, posed, tree, descent, starts)
         # Setting up the general search takes longer than callers with a deadline can wait.
         if result.gap <= self._tolerance or n == 2 or request.hurried or request.rounds < np.inf:
             return result
         return self._by_branches(request, result)
 
-    def _result(self, tree: Tree, posed: StageProblem) -> Found:
-        result = super()._result(tree, posed)
+    def resumed(self, request: Request) -> Found:
+        """See :meth:`TreeSearch.resumed`; in space, rotations are carried along."""
+        result = super().resumed(request)
         if result.x is None or self._problem.dimension == 2:
             return result
-        return replace(result, x=coordinates(carried(self._attitude, result.x)))
+        return replace(result, x=coordinates(carried(request.state.attitude, result.x)))
 
     def _left(self, request: Request) -> Array:
         """Return what headings have to add up to, weighted by the arrival's shares, shape (n,)."""

@@ -156,7 +156,7 @@ class Search:
                 best.stand_in()
             self._expand(heapq.heappop(self._open))
             if among and self._open:
-                for x in (best.x, path.x):
+                for x in (best.x, None if path.x is best.x else path.x):
                     if x is not None:
                         best.dive(regions.headings(x), self._rows(root))
                 among = False
