@@ -98,7 +98,7 @@ class Verifier:
         try:
             inputs = stated, tree_in_fractions(tree) if self._exact else tree, walk
             while what == PAUSED or (what == DEEP and self._deepened()):
-                if seen[-1] and late and late():
+                if what == PAUSED and seen[-1] and late and late():
                     return -math.inf
                 *seen, what = self._bound(*inputs, self._region, self._work, *seen, most)
         except HOSTILE:
