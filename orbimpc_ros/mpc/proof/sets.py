@@ -19,7 +19,7 @@ from orbimpc_ros.mpc.proof.arithmetic import (
     slack,
 )
 
-HALVINGS = 6  # of the step in the search for the best bound around a patch and in a cone
+TRIALS = 9  # steps of the search for the best bound around a patch and in a cone
 TOLERANCE = 16  # slacks of a slope by which a direction may be outside
 
 
@@ -116,13 +116,11 @@ def over_polygon(stated, g, along, ends, speeds, length, curve):
     leaves only directions uphill, is least there, or at an end or a corner of the floor.
     """
     (low, _, _, _, begun), (high, _, _, _, ended) = ends
-    share, faces, best = stated.share, stated.faces, along * speeds[1]
+    faces, best = stated.faces, along * speeds[1]
     if length != 0 or curve != 0:
-        i = round((begun + ended) / 2)
-        if max(share * i - low, high - share * i) - share / 2 > stated.narrow:  # several faces
-            return over_speeds(along + length, curve, speeds[0], speeds[1])
-        face, least = faces[i % len(faces)], stated.least - 4 * stated.narrow
-        return over_face(g, along, face, least, speeds, length, curve, 2)
+        best = over_speeds(along + length, curve, speeds[0], speeds[1])
+        uphill = curve == 0 and along + length > 0 and 2 * (high - low) < stated.full
+        return max(best, on_chord(g, ends, length)) if uphill else best
     for end in ends:
         best = min(best, (g[0] * end[1] + g[1] * end[2]) * end[3])
     for i in range(math.ceil((2 * begun - 1) / 2), math.floor((2 * ended + 1) / 2)):
@@ -130,6 +128,26 @@ def over_polygon(stated, g, along, ends, speeds, length, curve):
         along = g[0] * (a[0] + b[0]) + g[1] * (a[1] + b[1])
         best = min(best, along * stated.least / (1 + a[0] * b[0] + a[1] * b[1]))
     return best
+
+
+@generic
+def on_chord(g, ends, length):
+    """Return the least g . z + length |z| over the chord between the ends of a polygon's sector.
+
+    Along the whole line it is least where it is stationary, else at an end. The floor is beyond.
+    """
+    (_, a, b, first, _), (_, c, d, last, _) = ends
+    x, y = last * d - first * b, first * a - last * c
+    size = root(x * x + y * y)
+    if size > 0:
+        x, y = coarse(x / size), coarse(y / size)
+        across, ahead, least = x * g[1] - y * g[0], x * g[0] + y * g[1], first * (x * a + y * b)
+        left = length * length - across * across
+        if left > 0:
+            t = -across * least / root(left)
+            if first * (x * b - y * a) <= t <= last * (x * d - y * c):
+                return least * (ahead + root(left))
+    return min(first * (g[0] * a + g[1] * b + length), last * (g[0] * c + g[1] * d + length))
 
 
 @generic
@@ -163,6 +181,19 @@ def about(corners):
 
 
 @generic
+def around(stated, part, corners, k):
+    """Return the cone around the part of heading k in space, beyond a face or in a patch.
+
+    Returns:
+        Its axis, and cosine and sine of its angle.
+    """
+    if len(stated.faces) == 0:
+        return about(corners[k])
+    x, y, z = stated.faces[part]
+    return (x, y, z), stated.least, root(1 - stated.least * stated.least)
+
+
+@generic
 def over_orbitope(g, matrix):
     """Return the least <G, R> over conv SO(3): the least eigenvalue of K(G).
 
@@ -190,22 +221,28 @@ def in_both(g, size, cone, axis, cosine, sine):
 
     For any t >= 0 this is t cos d plus the least (g - t a) . u in the second cone, concave in t,
     with the axis a and the angle d of the first. The search begins at the t for which the minimiser
-    over all directions is on the rim of the first cone, and halves its steps.
+    over all directions is on the rim of the first cone, if there is one.
     """
     along, square = along_and_across(g, cone, 3)
     t = along + root(square) * cone[3] / cone[4] if cone[4] > 0 else along
-    if not t > 0:
-        return -size
-    best, step = -size, t / 2
-    for _ in range(HALVINGS):
-        for to in (t, t - step, t + step):
-            rest = g[0] - to * cone[0], g[1] - to * cone[1], g[2] - to * cone[2]
-            within = in_cone(rest, axis, cosine, sine, 3)
-            value = within + to * cone[3] - slack(size + to)
-            if value > best:
-                best, t = value, to
-        step = step / 2
+    t = step = t if t > 0 else size
+    best = behind_rim(g, size, cone, axis, cosine, sine, t)
+    for _ in range(TRIALS):
+        above = behind_rim(g, size, cone, axis, cosine, sine, t + step)
+        below = behind_rim(g, size, cone, axis, cosine, sine, max(t - step, 0 * t))
+        if max(above, below) > best:
+            t, best = (t + step, above) if above > below else (max(t - step, 0 * t), below)
+            step = 2 * step
+        else:
+            step = step / 4
     return best
+
+
+@generic
+def behind_rim(g, size, cone, axis, cosine, sine, t):
+    """Return t cos d plus the least (g - t a) . u in the second cone; see :func:`in_both`."""
+    rest = g[0] - t * cone[0], g[1] - t * cone[1], g[2] - t * cone[2]
+    return in_cone(rest, axis, cosine, sine, 3) + t * cone[3] - slack(size + t)
 
 
 @generic
@@ -236,53 +273,49 @@ def over_stage(stated, region, k, g, length, curve):
         along = in_sector(g, size, ends, stated.full, stated.narrow)
         if stated.share > 0:
             slowest = max(slowest, min(fastest, nearest_floor(ends, stated.least, stated.share)))
-    patched = n == 3 and part >= 0 and not solid
-    if patched:
-        axis, cosine, sine = about(region[2][k])
+    restricted = n == 3 and part >= 0
+    if restricted:
+        axis, cosine, sine = around(stated, part, region[2], k)
         along = in_cone(g, axis, cosine, sine, 3)
     for q in range(len(stated.cone_step)):
         if stated.cone_step[q] == k:
             cone = stated.cones[q]
             within = in_cone(g, cone, cone[n], cone[n + 1], n)
             along = max(along, within)
-            if patched:
+            if restricted:
                 along = max(along, in_both(g, size, cone, axis, cosine, sine))
             if linear:
                 slow = min(fastest, max(slowest, cone[n + 2]))
                 best = max(best, over_speeds(within, curve, slow, fastest))
     best = max(best, over_speeds(along + length, curve, slowest, fastest))
     speeds = slowest, fastest
-    if solid and part >= 0:
-        face = stated.faces[part]
-        best = max(best, over_face(g, along, face, stated.least, speeds, length, curve, n))
+    if restricted and solid:
+        best = max(best, over_face(g, along, axis, stated.least, speeds, length, curve))
     if flat and stated.share > 0 and (along > 0 or not linear):
         best = max(best, over_polygon(stated, g, along, ends, speeds, length, curve))
     return best
 
 
 @generic
-def over_face(g, along, normal, least, speeds, length, curve, n):
-    """Return a bound over the part of a disk, or ball, beyond a face; see :func:`over_stage`.
+def over_face(g, along, normal, least, speeds, length, curve):
+    """Return a bound over the part of a ball beyond a face; see :func:`over_stage`.
 
     Args:
-        g: shape (n,).
+        g: shape (3,).
         along: the least g . u over the directions u of the step.
         normal: of the face.
         least: distance of the face.
         speeds: the least and the greatest.
         length: a weight.
         curve: a weight; without it, a positive function is least on the face or on the rim.
-        n: dimension.
     """
     slowest, fastest = speeds
-    share = min(least / fastest, 1)  # beyond it the set is empty
-    along = max(along, in_cone(g, normal, share, root(1 - share * share), n))
     best = over_speeds(along + length, curve, slowest, fastest)
     if curve != 0 or length < 0:
         return best
-    ahead, square = along_and_across(g, normal, n)
+    ahead, square = along_and_across(g, normal, 3)
     widest, left = max(0 * least, fastest * fastest - least * least), length * length - square
-    if left > 0 and square * least * least <= widest * left:  # stationary within the disk
+    if left > 0 and square * least * least <= widest * left:  # stationary within the ball
         on_face = ahead * least + least * root(left)
     else:
         on_face = ahead * least + length * fastest - root(square) * root(widest)

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from orbimpc_ros.mpc.proof.arithmetic import generic
+from orbimpc_ros.mpc.proof.arithmetic import generic, slack
+from orbimpc_ros.mpc.proof.sets import TOLERANCE, around, dot
 from orbimpc_ros.mpc.proof.tree import (
     ARCS,
     CHILDREN,
@@ -80,6 +81,10 @@ def begin(stated, origins, part, span):
             return WRONG
         part[k] = ORDERED if k < stated.exchanged else 0
         span[k, 0], span[k, 1] = origins[k], origins[k] + stated.full
+    for q in range(len(stated.cone_step) if stated.n == 3 else 0):
+        cone = stated.cones[q]
+        if not _meets(stated, stated.cone_step[q], cone, cone[3], cone[4]):
+            return GONE
     return HELD if _aimed(stated, part, span) else GONE
 
 
@@ -198,13 +203,14 @@ def narrowed(stated, node, at, i, part, span, corners):
     Args are those of :func:`part_of`, and the restrictions of each choice.
     """
     kind, c, count = node[KIND], node[CHOICE], len(stated.goals)
-    if kind in (SIDES, FACES):
-        part[c] = i
+    part[c] = i if kind in (SIDES, FACES) else max(part[c], 0)
+    if kind == SIDES or (kind == FACES and len(stated.faces) == 0):
         return HELD
-    part[c] = max(part[c], 0)
     if kind in (PATCHES, QUARTERS):
         _set_patch(stated.patches, node, i, corners[c])
-        return HELD
+    if kind in (FACES, PATCHES, QUARTERS):
+        meets = c >= count or _meets(stated, c, *around(stated, part[c], corners, c))
+        return HELD if meets else GONE
     if kind == ARCS:
         share = stated.full / node[CHILDREN]
         span[c, 0], span[c, 1] = at + i * share, at + (i + 1) * share
@@ -240,3 +246,17 @@ def _set_patch(patches, node, i, made):
         old = made[0, e], made[1, e], made[2, e]
         for j in range(3):
             made[j, e] = (old[j] + old[(j + 1) % 3 if i == 3 else i]) / 2
+
+
+@generic
+def _meets(stated, k, axis, cosine, sine):
+    """Return whether a cone meets each of the cones of heading k in space."""
+    for q in range(len(stated.cone_step)):
+        cone = stated.cones[q]
+        convex = (
+            sine * cone[3] + cosine * cone[4] > 0
+        )  # together their angles are below a half turn
+        least = cosine * cone[3] - sine * cone[4] - TOLERANCE * slack(1 + 0 * sine)
+        if stated.cone_step[q] == k and convex and dot(axis, cone, 3) < least:
+            return False
+    return True

@@ -190,8 +190,10 @@ class Search:
         # The root alone is the proof, if its bound is as good.
         enough = root.bound >= lower - self._tolerance * abs(lower)
         tree = self._leaves.tree(self._nodes, 1) if enough else None
-        tree = tree or self._leaves.tree(self._nodes)
-        return Found(best.x, best.cost, lower, best.solved, proofs=(tree,) if tree else ())
+        trees = [tree or self._leaves.tree(self._nodes)]
+        if not enough and trees[0] and trees[0].share.size:  # multipliers of cones may not refute
+            trees.append(self._leaves.tree(self._nodes, 1))
+        return Found(best.x, best.cost, lower, best.solved, proofs=tuple(filter(None, trees)))
 
     @property
     def _limit(self) -> float:

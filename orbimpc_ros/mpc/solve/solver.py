@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 from threading import RLock
 
 import numpy as np
@@ -309,13 +310,13 @@ class Solver:
     def _proof(self, request: Request, result: Found) -> Proof:
         """Return the proof of a result in natural units; no cost is negative, so no bound is.
 
-        The bound is the verifier's for the first of the method's trees that there is time for;
-        without any, the method's own.
+        The bound is the verifier's for the first of the method's trees that proves what the search
+        did, or the best one that there is time for; without any, the method's own.
         """
         cost, bound, tree = self._units.cost, -np.inf, None
         for each in result.proofs:
-            if bound == -np.inf:
-                bound, tree = self._verified(request, each)
+            if bound < cost * (result.lower_bound - self._tolerance * abs(result.lower_bound)):
+                bound, tree = max((bound, tree), self._verified(request, each), key=itemgetter(0))
         checked = -np.inf < bound < np.inf
         if not checked:
             bound, tree = cost * result.lower_bound, None
