@@ -46,7 +46,10 @@ ARRIVES = {'terminal': 'constraint'}
 SPACE = {'dimension': 3}
 COASTS = {'rotation_order': 2, 'translation_order': 2}
 ROUND = {'floor': Floor('circle', fraction=0.6)}
+FAST = {'floor': Floor('circle', fraction=0.8)}
+FACETS = {'floor': Floor('polygon', 6, 0.6)}
 WING = {'floor': Floor('circle', fraction=0.7), 'max_rate': 0.5, 'max_acceleration': 0.03}
+TILTED = {**SPACE, 'translation_order': 2, 'tilt': 0.3, 'glide_slope': 0.4}
 TOWARDS = Approach(0.4, (1.0, 0.5))
 FAMILIES: dict[str, dict[str, Any]] = {
     'hull': {},
@@ -61,8 +64,9 @@ FAMILIES: dict[str, dict[str, Any]] = {
     'hull, inertia, arrival': {'translation_order': 2, **ARRIVES},
     'hull, inertia, soft arrival': {'translation_order': 2, 'arrival_weight': 5.0},
     'polygon': {'floor': Floor('polygon', 4, 0.5)},
+    'polygon, length': {'floor': Floor('polygon', 5, 0.5), 'length': 0.3},
     'polygon, coasting': {'floor': Floor('polygon', 4, 0.5), **COASTS},
-    'polygon, acceleration': {'floor': Floor('polygon', 6, 0.6), 'max_acceleration': 0.3},
+    'polygon, acceleration': {**FACETS, 'max_acceleration': 0.3},
     'circle': ROUND,
     'circle, coasting': {**ROUND, **COASTS},
     'circle, coasting, turn rate': {**ROUND, **COASTS, 'max_rate': 0.7},
@@ -88,14 +92,7 @@ FAMILIES: dict[str, dict[str, Any]] = {
     'axes, boxes': {**SPACE, 'boxes': 2, 'input': 0.0},
     'approach': {'approach': Approach(0.3, (1.0, 0.5))},
     'space, approach': {**SPACE, 'approach': Approach(0.2, (1.0, 0.5, 0.1))},
-    'cones': {
-        **SPACE,
-        'translation_order': 2,
-        'tilt': 0.3,
-        'glide_slope': 0.4,
-        'length': 0.05,
-        'floor': Floor('circle', fraction=0.1),
-    },
+    'cones': {**TILTED, 'floor': Floor('circle', fraction=0.1), 'length': 0.05},
     'turn rate': {'max_rate': 0.5},
     'turn rate, inertia': {'translation_order': 2, 'max_rate': 0.5},
     'turn rate, exact': {'discretisation': 'exact', 'max_rate': 0.3},
@@ -110,30 +107,25 @@ FAMILIES: dict[str, dict[str, Any]] = {
 }
 # Not all of these are proved optimal; if one is, its certificate takes what the search has proved.
 OPEN: dict[str, dict[str, Any]] = {
-    'polygon, turn rate': {'floor': Floor('polygon', 6, 0.6), 'max_rate': 0.7},
+    'polygon, turn rate': {**FACETS, 'max_rate': 0.7},
+    'polygon, turn rate, length': {**FACETS, 'max_rate': 0.7, 'length': 0.3},
+    'space, wing': {**SPACE, **ROUND, 'max_rate': 0.5},
+    'space, polygon, turn rate': {**SPACE, 'floor': Floor('polygon', 6, 0.5), 'max_rate': 0.5},
     'circle, arrival': {**ROUND, **ARRIVES},
     'circle, length, arrival': {**ROUND, 'length': 0.3, **ARRIVES},
     'circle, arrival, acceleration': {**ROUND, 'max_acceleration': 0.2, **ARRIVES},
     'shell, arrival': {**SPACE, **ROUND, 'input': 0.0, **ARRIVES},
     'shell, no turns': {**SPACE, **ROUND, 'max_rate': 1e-320},
     'space, coasting, length': {**SPACE, **COASTS, 'length': 0.3},
-    'circle, acceleration': {
-        'floor': Floor('circle', fraction=0.8),
-        'max_acceleration': 0.05,
-        'horizon': 4,
-    },
+    'circle, acceleration': {**FAST, 'max_acceleration': 0.05, 'horizon': 4},
     'circle, turn rate, acceleration': {**WING, 'max_rate': 0.4},
     'acceleration, turn rate': {'max_acceleration': 0.2, 'max_rate': 1.0},
     'acceleration, boxes': {'max_acceleration': 0.2, 'boxes': 1, 'no_corner_cutting': True},
     'acceleration, discs': {'max_acceleration': 0.2, 'balls': 1, 'hazards': 1},
     'acceleration, length': {'max_acceleration': 0.2, 'length': 0.3, 'discretisation': 'exact'},
     'circle, turn rate, approach': {**ROUND, 'max_rate': 0.9, 'approach': TOWARDS},
-    'polygon, turn rate, approach': {
-        'floor': Floor('polygon', 6, 0.6),
-        'max_rate': 0.9,
-        'approach': TOWARDS,
-    },
-    'long': {'floor': Floor('circle', fraction=0.8), 'max_rate': 0.5, 'horizon': 20},
+    'polygon, turn rate, approach': {**FACETS, 'max_rate': 0.9, 'approach': TOWARDS},
+    'long': {**FAST, 'max_rate': 0.5, 'horizon': 20},
     'wing': {**WING, 'approach': Approach(0.5, (1.0, 0.5))},
 }
 
@@ -288,8 +280,7 @@ FALLING = np.array([0.0, 0.0, -1.62])  # [m/s^2]
 def lander(**others: Any) -> Problem:
     """Return the problem of a lander in lunar gravity: eight steps of one second."""
     usual: dict[str, Any] = {
-        'dimension': 3,
-        'translation_order': 2,
+        **TILTED,
         'horizon': 8,
         'forward': 3.6,
         'weights': Weights(position=0.3, input=0.05, length=0.3, terminal=1.0),

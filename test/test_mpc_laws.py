@@ -65,6 +65,7 @@ def solved(request):
 def test_a_plan_passes_the_check_and_is_proved(solved):
     family, posed, _, plan = solved
     assert violations(*posed.parts, plan) == []
+    assert plan.proof.checked
     assert plan.lower_bound <= plan.objective * (1.0 + ROUNDING)
     assert plan.status == 'optimal' or HELD_OUT or family in LOOSE, plan.proof.reason
     for name, least in margins(*posed.parts, plan).items():

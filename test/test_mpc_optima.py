@@ -178,7 +178,7 @@ FLOORED = [
     name
     for name, given in (FAMILIES | OPEN).items()
     if 'floor' in given and name not in ('long', 'shell, no turns')
-    if not {'terminal', 'hazards'} & given.keys()
+    if not {'terminal', 'hazards'} & given.keys() and not {'dimension', 'max_rate'} <= given.keys()
 ]
 
 

@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.proof import document, sets
 from orbimpc_ros.mpc.proof.arithmetic import as_fractions
 from orbimpc_ros.mpc.proof.document import Refused, certificate_of, text_of, verified
 from orbimpc_ros.mpc.proof.stated import ENDS, NO_LIMITS, STEP, Body, Cone, Statement
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT, EMPTY, LEAF, ROW, SPEED, one
+from orbimpc_ros.mpc.proof.tree import ARCS, ARRAYS, CUT, EMPTY, LEAF, ROW, SPEED, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
 
@@ -250,10 +250,10 @@ def test_the_least_beyond_a_face_and_within_a_cone(seed):
     g, floor = rng.normal(size=3), rng.uniform(0.1, 0.9)
     units = rng.normal(size=(20000, 3))
     units /= np.linalg.norm(units, axis=1, keepdims=True)
-    points = units * rng.uniform(size=(20000, 1)) ** 0.2
-    beyond = np.concatenate([points, units])
-    beyond = beyond[beyond @ axis >= floor]
-    least = sets.over_face(g, -2.0 * sum(abs(g)), axis, floor, (floor, 1.0), 0.0, 0.0, 3)
+    points = np.concatenate([units * rng.uniform(size=(20000, 1)) ** 0.2, units])
+    beyond = points[points @ axis >= floor]
+    along = sets.in_cone(g, axis, floor, math.sqrt(1.0 - floor * floor), 3)
+    least = sets.over_face(g, along, axis, floor, (floor, 1.0), 0.0, 0.0)
     assert 0.0 <= held_against(least, beyond, g) + 1e-12 < 0.2
     angle = rng.uniform(0.1, 3.0)
     within = units[units @ axis >= math.cos(angle)]
@@ -308,6 +308,18 @@ def test_what_takes_more_work_than_its_length_may_is_refused():
         verified({**document_of(50, leaves=40), 'limits': cones})
     with pytest.raises(Refused, match='work'):  # of which every step has places
         verified({**document_of(50), 'limits': {'bodies': [BALL] * 1000}})
+
+
+def test_a_tree_deeper_than_most_is_verified_in_one_slice():
+    nodes, deep = np.zeros((81, 5), np.int64), np.arange(0, 80, 2)
+    nodes[deep] = [[CUT if k else ARCS, 0, k + 1, 2, -1] for k in deep]
+    nodes[[*deep + 1, 80], ROW] = np.arange(41)
+    at = 2.0 * np.pi * (nodes[:, 0] == CUT) * (1.0 - 0.5 ** (1 + np.arange(81) // 2))
+    tree = one(np.zeros((2, 2)), np.zeros(2))._replace(nodes=nodes, at=at)
+    leaves = {name: np.repeat(getattr(tree, name), 41, axis=0) for name in ARRAYS[2:5]}
+    asked = State.at([0.0, 0.0], np.eye(2)), np.ones((2, 2)), tree._replace(**leaves)
+    late, timeless = (Verifier(Problem(horizon=2, floor=floor('circle'))) for _ in range(2))
+    assert late.bound(*asked, lambda: True) == timeless.bound(*asked) > -np.inf
 
 
 def test_a_problem_in_the_plane_may_state_the_same_cone_twice():

@@ -299,18 +299,13 @@ def in_another_dimension(known):
         tree['point'] = [[[*each, 0.0] for each in leaf] for leaf in tree['point']]
 
 
-def as_of_nothing(known):
-    del known['refuted']['radius']
-    known['refuted'].pop('cone')
-
-
 CHANGES = {
     'no tree': lambda known: known['refuted'].update(trees=[]),
     'more trees than steps': lambda known: known['refuted'].update(
         trees=3 * known['refuted']['trees']
     ),
     'a cone of nothing': lambda known: known['refuted'].pop('radius'),
-    'several trees of nothing': as_of_nothing,
+    'trees of nothing': lambda known: known.update(refuted={'trees': known['refuted']['trees']}),
     'a radius below zero': lambda known: known['refuted'].update(radius=-RADIUS),
     'a bound beside it': lambda known: known.update(lower_bound=0.0),
     'multipliers of another dimension': in_another_dimension,

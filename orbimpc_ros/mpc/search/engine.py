@@ -179,7 +179,7 @@ class PlanarSearch(TreeSearch):
         floor, aimed, late = problem.floor, problem.approach.exists, problem.rotation_order == 2
         changes = problem.max_rate > 0.0 or problem.max_acceleration > 0.0
         disks = not any((floor.exists, changes, aimed, late))
-        straight = (disks or floor.shape == 'polygon') and not problem.weights.length
+        straight = disks and not problem.weights.length
         kind = problem.dimension, problem.rotation_order - coasting * late, problem.terminal
         longest = LONGEST_INERTIAL if disks and problem.inertial else LONGEST
         return all(
@@ -187,7 +187,7 @@ class PlanarSearch(TreeSearch):
                 COMPILED,
                 kind == (2, 1, 'penalty'),
                 not problem.obstacles,
-                straight or (floor.shape == 'circle' and (changes or late)),
+                straight or floor.shape == 'polygon' or (floor.exists and (changes or late)),
                 not (aimed and floor.fraction < problem.least_heading),
                 problem.horizon <= longest,
             )

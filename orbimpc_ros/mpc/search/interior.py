@@ -13,14 +13,14 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.search.ring import KIND, LX, LY, NARROW, NB, NX, NY, OUTER, UX, UY
+from orbimpc_ros.mpc.search.ring import INNER, KIND, LX, LY, NARROW, NB, NX, NY, OUTER, UX, UY
 
 STEPS = 25
 CENTRED, BLOCKED = 0.1, 0.5  # shares of the gap to aim for, after a long step and a short one
 LONG = 0.9
 INSIDE = 0.99  # share of the way to a limit that a step may take
 THIN = 1e-9  # least size of a set with an interior
-SHORT = 1e-4  # smoothing of the length of headings near zero
+SHORT = 1e-300  # avoids a division by zero
 HELD = 1e12  # factor on the curvature, to hold headings whose sets have no interior
 LIMITS = 4  # limits of a set: speed, both edges, chord
 
@@ -75,11 +75,12 @@ def set_inside(shapes, z):
 
 
 @compiled
-def set_system(posed, z, slope, limits, multipliers, aim, system, right):
+def set_system(posed, shapes, z, slope, limits, multipliers, aim, system, right):
     """Set Newton's system: stationarity of the cost, and depths times multipliers equal to ``aim``.
 
     Args:
         posed: the problem.
+        shapes: outlines, shape (N, 12).
         z: points, shape (N, 2).
         slope: H z + q, shape (N, 2).
         limits: depths and normals of the points; see :func:`set_depths`.
@@ -96,13 +97,14 @@ def set_system(posed, z, slope, limits, multipliers, aim, system, right):
         x, y, length = z[k, 0], z[k, 1], posed.lengths[k]
         right[2 * k], right[2 * k + 1] = -slope[k, 0], -slope[k, 1]
         if length > 0.0:
-            size = np.sqrt(x * x + y * y + SHORT * SHORT)
-            right[2 * k] -= length * x / size
-            right[2 * k + 1] -= length * y / size
-            bent = length / size**3
-            system[2 * k, 2 * k] += bent * y * y
-            system[2 * k + 1, 2 * k] -= bent * x * y
-            system[2 * k + 1, 2 * k + 1] += bent * x * x
+            size = np.sqrt(x * x + y * y) + SHORT
+            push, steep = _pull(length, size - shapes[k, INNER], aim)
+            x, y, bent = x / size, y / size, push / size
+            right[2 * k] -= push * x
+            right[2 * k + 1] -= push * y
+            system[2 * k, 2 * k] += bent * y * y + steep * x * x
+            system[2 * k + 1, 2 * k] += (steep - bent) * x * y
+            system[2 * k + 1, 2 * k + 1] += bent * x * x + steep * y * y
         if depths[k, 0] == 0.0:  # no interior
             system[2 * k, 2 * k] += HELD * posed.hessian[k, k]
             system[2 * k + 1, 2 * k + 1] += HELD * posed.hessian[k, k]
@@ -117,6 +119,19 @@ def set_system(posed, z, slope, limits, multipliers, aim, system, right):
             system[2 * k, 2 * k] += push * a * a + bent
             system[2 * k + 1, 2 * k] += push * a * b
             system[2 * k + 1, 2 * k + 1] += push * b * b + bent
+
+
+@compiled
+def _pull(length, above, aim):
+    """Return the slope and the curvature of a length above the least speed, smoothed by barriers.
+
+    It is the least l t - aim log (t - |z|) - aim log (t - least) over t.
+    """
+    steep = length * above
+    root = np.sqrt(steep * steep + 4.0 * aim * aim)
+    more = 4.0 * aim * aim / (root + steep) if steep > 0.0 else root - steep
+    left = (2.0 * aim + more) / (2.0 * length)  # t - |z|
+    return aim / left, 0.5 * aim / (left * left) * more / root
 
 
 @compiled

@@ -31,12 +31,13 @@ from orbimpc_ros.mpc.search.interior import (
     set_inside,
     set_system,
 )
-from orbimpc_ros.mpc.search.ring import FREE, POINT, RIM, prox, support
+from orbimpc_ros.mpc.search.ring import FREE, INNER, POINT, RIM, prox, support
 
 SOLVED, PRUNED, STALLED, GOING = range(4)  # outcomes of a relaxation
 PATIENCE = 2  # rounds between checks of whether the bound still rises
 RISES = 0.1  # least rise, as a share of the gap
 LONGEST = 1e7  # most multiplications without a check of the deadline
+ON = 1e-12  # relative: so close to the least speed, a length does not pull
 ROUNDING = 1e-15  # relative error of terms that cancel
 HALVINGS, SHRINK = 6, 0.4
 SPACES = 4  # number of working memories that are kept
@@ -124,7 +125,7 @@ def set_slope(hessian, q, z, slope):
 
 @compiled
 def tangent_bound(posed, shapes, z, slope):
-    """Return the cost at a point, and a lower bound on costs: its tangent's minimum over the sets.
+    """Return the relaxed cost at a point, and a bound: its tangent's minimum over the sets.
 
     Args:
         posed: the problem.
@@ -138,7 +139,7 @@ def tangent_bound(posed, shapes, z, slope):
         half = 0.5 * (x * (gx + posed.q[k, 0]) + y * (gy + posed.q[k, 1]))
         along = gx * x + gy * y
         there = support(shapes[k], length, gx, gy)
-        cost += half + length * np.sqrt(x * x + y * y)
+        cost += half + length * max(shapes[k, INNER], np.sqrt(x * x + y * y))
         least += half + there - along
         size += abs(half) + abs(there) + abs(along)
     return cost, least - ROUNDING * len(z) * size
@@ -162,7 +163,7 @@ def _sweep(posed, shapes, z, room):
 
 
 @compiled
-def _set_basis(posed, z, room):
+def _set_basis(posed, shapes, z, room):
     """Set directions along faces, with the curvature of lengths and rims; return their number."""
     count, steps, basis, right, system = 0, room.steps, room.basis, room.right, room.system
     for k in range(len(z)):
@@ -170,9 +171,9 @@ def _set_basis(posed, z, room):
         if face == POINT:
             continue
         gx, gy, size = room.slope[k, 0], room.slope[k, 1], np.sqrt(x * x + y * y)
+        if size <= shapes[k, INNER] * (1.0 + ON):
+            length = 0.0
         if length > 0.0:
-            if size < 1e-12:  # at the apex of the length's cone
-                continue
             gx, gy = gx + length * x / size, gy + length * y / size
         if face == FREE:
             steps[count] = steps[count + 1] = k
@@ -201,7 +202,8 @@ def _set_basis(posed, z, room):
 @compiled
 def _newton(posed, shapes, z, reached, room):
     """Take a Newton step along all faces at once; return the cost, lower if that succeeded."""
-    count, steps, basis, system = _set_basis(posed, z, room), room.steps, room.basis, room.system
+    count = _set_basis(posed, shapes, z, room)
+    steps, basis, system = room.steps, room.basis, room.system
     for i in range(count):
         k, a, b = steps[i], basis[i, 0], basis[i, 1]
         for j in range(i):
@@ -287,6 +289,7 @@ def _pass_through(posed, node, limits, room):
     """Minimise through the interior of the hulls; return the outcome."""
     z, _, key, shapes = node
     cutoff, gap = limits
+    copy_to(room.other, z)
     inside = max(1, set_inside(shapes, z))
     depths, multipliers = np.empty((len(z), LIMITS)), np.zeros((len(z), LIMITS))
     around = depths, np.empty((len(z), LIMITS, 2))
@@ -304,7 +307,7 @@ def _pass_through(posed, node, limits, room):
             for i in range(LIMITS):
                 left += depths[k, i] * multipliers[k, i]
         aim = (CENTRED if share > LONG else BLOCKED) * left / inside
-        set_system(posed, z, room.slope, around, multipliers, aim, room.system, room.right)
+        set_system(posed, shapes, z, room.slope, around, multipliers, aim, room.system, room.right)
         if not solve_spd(room.system, room.right, 2 * len(z)):
             break
         share = move_inside(z, room.right, around, multipliers, aim)
@@ -316,6 +319,8 @@ def _pass_through(posed, node, limits, room):
         if cost - key[0] <= gap * max(abs(cost + posed.constant), NEGLIGIBLE):
             _sweep(posed, shapes, z, room)
             return SOLVED
+    if rise_of(posed, room.other, z) > 0.0:
+        copy_to(z, room.other)
     return STALLED
 
 

@@ -145,26 +145,51 @@ def is_within(shape, x, y):
 
 @compiled
 def support(shape, length, gx, gy):
-    """Return the minimum of g . z + l |z| over the set.
+    """Return a tight lower bound on g . z + l |z| over the set: mostly its minimum.
+
+    Where it is positive along all directions, the minimum is at the least speeds: on the floor of a
+    circle, or on the chord of a polygon.
 
     Args:
         shape: its outline, shape (12,).
-        length: l >= 0; 0 over polygons.
+        length: l >= 0.
         gx: first component of g.
         gy: second component of g.
     """
     inner, outer = shape[INNER], shape[OUTER]
     if is_within(shape, -gx, -gy):
-        slope = length - np.sqrt(gx * gx + gy * gy)
-        return min(slope * inner, slope * outer)
-    first = gx * shape[LX] + gy * shape[LY] + length
-    last = gx * shape[UX] + gy * shape[UY] + length
-    return min(first * shape[LEAST_L], first * outer, last * shape[LEAST_U], last * outer)
+        slope = first = last = length - np.sqrt(gx * gx + gy * gy)
+    else:
+        first = gx * shape[LX] + gy * shape[LY] + length
+        last = gx * shape[UX] + gy * shape[UY] + length
+        slope = min(first, last)
+    if slope <= 0.0:
+        return slope * outer
+    if length == 0.0:
+        return min(first * shape[LEAST_L], last * shape[LEAST_U])
+    if shape[KIND] < NARROW or shape[LEAST_L] + shape[LEAST_U] == 2.0 * inner:
+        return slope * inner
+    return _on_chord(shape, length, gx, gy)
+
+
+@compiled
+def _on_chord(shape, length, gx, gy):
+    """Return the minimum of g . z + l |z| over the chord."""
+    nx, ny, nb = shape[NX], shape[NY], shape[NB]
+    a, b = shape[LEAST_L], shape[LEAST_U]
+    along = ny * gx - nx * gy  # across the normal, towards the first edge
+    start, end = b * (ny * shape[UX] - nx * shape[UY]), a * (ny * shape[LX] - nx * shape[LY])
+    t, left = end if along < 0.0 else start, length * length - along * along
+    if left > 0.0:
+        t = min(end, max(start, -along * nb / np.sqrt(left)))
+    return nb * (gx * nx + gy * ny) + t * along + length * np.sqrt(nb * nb + t * t)
 
 
 @compiled
 def prox(shape, h, length, cx, cy):
     """Return the minimiser of h |z|^2 / 2 + c . z + l |z| over the hull, its face and direction.
+
+    As on the set itself, |z| counts as at least the least speed.
 
     Args:
         shape: the outline, shape (12,).
@@ -173,8 +198,12 @@ def prox(shape, h, length, cx, cy):
         cx: first component of c.
         cy: second component of c.
     """
-    outer, size, face = shape[OUTER], max(TINY, np.sqrt(cx * cx + cy * cy)), FREE
-    r = max(0.0, size - length) / h
+    inner, outer, size = shape[INNER], shape[OUTER], max(TINY, np.sqrt(cx * cx + cy * cy))
+    r, face = size / h, FREE
+    if length > 0.0 and r > inner:
+        r = (size - length) / h
+        if r <= inner:
+            r, face = inner, RIM
     if r > outer:
         r, face = outer, RIM
     x, y = -cx / size * r, -cy / size * r
@@ -185,7 +214,7 @@ def prox(shape, h, length, cx, cy):
     if turned and shape[NX] * x + shape[NY] * y >= shape[NB] - ON:
         return x, y, face, -y, x
     best, dx, dy, a, b = np.inf, 0.0, 0.0, shape[LEAST_L], shape[LEAST_U]
-    if turned and face == RIM:
+    if turned and r == outer:
         best, dx, dy = (0.5 * h * r + length) * r + cx * x + cy * y, -y, x
     for side in range(2):
         vx, vy, least = (lx, ly, a) if side == 0 else (ux, uy, b)
@@ -211,7 +240,8 @@ def _onto_edge(h, slope, least, outer):
 def _onto_chord(shape, h, length, cx, cy):
     """Return the least value of :func:`prox` within the chord, where it is, and its direction.
 
-    The value is infinity if an end of the chord is better.
+    The value is infinity if an end of the chord is better; the direction is zero where the least
+    speed holds the minimiser.
     """
     a, lx, ly = shape[LEAST_L], shape[LX], shape[LY]
     ex, ey = shape[LEAST_U] * shape[UX] - a * lx, shape[LEAST_U] * shape[UY] - a * ly
@@ -221,13 +251,19 @@ def _onto_chord(shape, h, length, cx, cy):
     ex, ey = ex / across, ey / across
     start, slope = a * (lx * ex + ly * ey), cx * ex + cy * ey
     t = -slope / h  # measured from the foot of the perpendicular
-    if length > 0.0:
-        t = _along_chord(h, length, slope, a * a - start * start, t)
+    inner, square, held = shape[INNER], a * a - start * start, False
+    if length > 0.0 and square + t * t > inner * inner:
+        sign = np.copysign(1.0, t)
+        t = _along_chord(h, length, slope, square, t)
+        held = square + t * t < inner * inner
+        if held:
+            t = sign * np.sqrt(inner * inner - square)
     if not start < t < start + across:
         return np.inf, 0.0, 0.0, ex, ey
     px, py = a * lx + (t - start) * ex, a * ly + (t - start) * ey
     value = 0.5 * h * (px * px + py * py) + cx * px + cy * py
-    return value + length * np.sqrt(px * px + py * py), px, py, ex, ey
+    value += length * max(inner, np.sqrt(px * px + py * py))
+    return (value, px, py, 0.0, 0.0) if held else (value, px, py, ex, ey)
 
 
 @compiled

@@ -434,7 +434,8 @@ def is_promising(posed, ring, tree, z, sector, share, room):
         return False
     set_headings(ring, room.speeds, room.turns, room.trial)
     rounded = cost_of(posed, room.trial)
-    free = ring.faces > 0 and ring.widest >= HALF  # cells of a polygon need no descent
+    plain = ring.widest >= HALF and posed.lengths[0] == 0.0
+    free = ring.faces > 0 and plain  # cells of a polygon need no descent
     angle, way = _way(ring, room.turns)
     aimed = ring.within >= HALF or abs(angle - way) <= ring.within + SATISFIED
     if aimed and (ring.change < np.inf or ring.within < HALF or free):
