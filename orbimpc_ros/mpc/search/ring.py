@@ -253,11 +253,7 @@ def _onto_chord(shape, h, length, cx, cy):
     t = -slope / h  # measured from the foot of the perpendicular
     inner, square, held = shape[INNER], a * a - start * start, False
     if length > 0.0 and square + t * t > inner * inner:
-        sign = np.copysign(1.0, t)
-        t = _along_chord(h, length, slope, square, t)
-        held = square + t * t < inner * inner
-        if held:
-            t = sign * np.sqrt(inner * inner - square)
+        t, held = _along_chord(h, length, slope, square, inner, t)
     if not start < t < start + across:
         return np.inf, 0.0, 0.0, ex, ey
     px, py = a * lx + (t - start) * ex, a * ly + (t - start) * ey
@@ -267,10 +263,16 @@ def _onto_chord(shape, h, length, cx, cy):
 
 
 @compiled
-def _along_chord(h, length, slope, square, t):
-    """Return the minimiser of h t^2 / 2 + slope t + l sqrt(square + t^2), by Newton's method."""
+def _along_chord(h, length, slope, square, inner, t):
+    """Return the minimiser of h t^2 / 2 + slope t + l max(inner, sqrt(square + t^2)).
+
+    By Newton's method, from the minimiser without lengths; and whether the least speed holds it.
+    """
+    sign = np.copysign(1.0, t)
     t *= h / (h + length / np.sqrt(max(TINY, square) + t * t))
     for _ in range(NEWTON):
         size = np.sqrt(max(TINY, square) + t * t)
         t -= (h * t + slope + length * t / size) / (h + length * square / size**3)
-    return t
+    if square + t * t < inner * inner:
+        return sign * np.sqrt(inner * inner - square), True
+    return t, False
