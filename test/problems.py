@@ -115,6 +115,7 @@ OPEN: dict[str, dict[str, Any]] = {
     'circle, length, arrival': {**ROUND, 'length': 0.3, **ARRIVES},
     'circle, arrival, acceleration': {**ROUND, 'max_acceleration': 0.2, **ARRIVES},
     'shell, arrival': {**SPACE, **ROUND, 'input': 0.0, **ARRIVES},
+    'shell, attitude': {**SPACE, **ROUND, 'attitude': 0.5},
     'shell, no turns': {**SPACE, **ROUND, 'max_rate': 1e-320},
     'space, coasting, length': {**SPACE, **COASTS, 'length': 0.3},
     'circle, acceleration': {**FAST, 'max_acceleration': 0.05, 'horizon': 4},

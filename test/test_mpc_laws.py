@@ -67,6 +67,7 @@ def test_a_plan_passes_the_check_and_is_proved(solved):
     assert violations(*posed.parts, plan) == []
     assert plan.proof.checked
     assert plan.lower_bound <= plan.objective * (1.0 + ROUNDING)
+    assert plan.gap < 0.1 or family != 'shell, attitude'  # the axes alone bound it well
     assert plan.status == 'optimal' or HELD_OUT or family in LOOSE, plan.proof.reason
     for name, least in margins(*posed.parts, plan).items():
         assert least > -1e-5 * max(1.0, posed.problem.maps.unit), name
@@ -216,8 +217,8 @@ def test_a_tree_is_freed_in_the_time_of_the_next_search(monkeypatch):
 
 @pytest.fixture(scope='module')
 def certificate(solved):
-    """The plan's certificate; None for an open family, whose search may leave a huge tree."""
-    if solved.family in OPEN:
+    """The plan's certificate; None for an open family, if its search leaves a tree."""
+    if solved.family in OPEN and len(solved.plan.proof.tree.nodes) > 1:
         return None
     return certificate_of(*solved.case.parts, solved.plan.proof)
 
@@ -250,7 +251,8 @@ def with_another_horizon(known):
 def test_a_changed_certificate_proves_nothing(solved, certificate):
     if certificate is None:
         return
-    bound_to_leave = {'floor', 'rotation_order', 'approach'}.intersection(FAMILIES[solved.family])
+    given = (FAMILIES | OPEN)[solved.family]
+    bound_to_leave = {'floor', 'rotation_order', 'approach'}.intersection(given)
     for change in (raised, near, with_another_horizon):
         if change is near and bound_to_leave:
             continue  # these vehicles cannot stay in place

@@ -177,8 +177,8 @@ def test_searches_find_what_enumeration_finds(posed, near):
 FLOORED = [
     name
     for name, given in (FAMILIES | OPEN).items()
-    if 'floor' in given and name not in ('long', 'shell, no turns')
-    if not {'terminal', 'hazards'} & given.keys() and not {'dimension', 'max_rate'} <= given.keys()
+    if 'floor' in given and name != 'long' and not {'terminal', 'hazards'} & given.keys()
+    if name in FAMILIES or 'dimension' not in given
 ]
 
 

@@ -239,6 +239,11 @@ class Problem:
         return tuple(each for each in self.obstacles if isinstance(each, Box))
 
     @cached_property
+    def weighs_rotations(self) -> bool:
+        """Return True if the cost has more of R than R e1: that of inputs, or of the last R."""
+        return self.weights.input > 0.0 or self.weights.attitude > 0.0
+
+    @cached_property
     def wants_attitude(self) -> bool:
         """Return True if the state has to give the desired final rotation."""
         return self.weights.attitude > 0.0 or self.approach.is_the_goals

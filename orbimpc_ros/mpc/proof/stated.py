@@ -219,7 +219,7 @@ class Statement:
     def __init__(self, problem: Problem, number: Callable[[Any], Number] = float) -> None:
         self.problem, self._number = problem, number
         w, plane, late = problem.weights, problem.dimension == 2, problem.rotation_order == 2
-        self._width = 2 if plane else 9 if w.input or w.attitude or late else 3
+        self._width = 2 if plane else 9 if problem.weighs_rotations or late else 3
         self._motion = self._moved()
         free = not (late or problem.max_rate or problem.inertial or w.position or w.input)
         self._alike = plane and free  # the first steps are, unless limits from a state differ

@@ -24,9 +24,10 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import copy_to
+from orbimpc_ros.mpc.model.dynamics import knowns
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.reach import decided
-from orbimpc_ros.mpc.proof.tree import ARCS, CUT
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, ProofTree
 from orbimpc_ros.mpc.search.best_first import (
     CLOSED,
     DONE,
@@ -44,7 +45,7 @@ from orbimpc_ros.mpc.search.best_first import (
     take,
 )
 from orbimpc_ros.mpc.search.engine import SETTLED, TreeSearch
-from orbimpc_ros.mpc.search.relax import rise_of
+from orbimpc_ros.mpc.search.relax import StageProblem, rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, cut_near, take_part
 from orbimpc_ros.mpc.search.shells import (
     ACTIVE,
@@ -216,6 +217,7 @@ class RoundFloor(TreeSearch):
 
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         super().__init__(problem, SETTLED * tolerance, _search)
+        self._lifts = problem.dimension == 3 and problem.weighs_rotations
         if problem.terminal == 'constraint':
             self._arrival = problem.maps.reach[-1, 1:].copy()
             largest = np.diag(self._hessian).max() / np.square(self._arrival).max()
@@ -238,7 +240,7 @@ class RoundFloor(TreeSearch):
             (problem.floor.shape, problem.rotation_order) == ('circle', 1)
             and not (problem.inertial and arrives)
             and not decided
-            and (problem.dimension == 2 or problem.weights.input == problem.weights.attitude == 0.0)
+            and (problem.dimension == 2 or not problem.weighs_rotations)
             and not (problem.max_rate or problem.obstacles or problem.has_cones)
             and not problem.approach.exists
         )
@@ -268,6 +270,37 @@ class RoundFloor(TreeSearch):
         if result.x is None or self._problem.dimension == 2:
             return result
         return replace(result, x=coordinates(carried(request.state.attitude, result.x)))
+
+    def proved(self, request: Request, found: Found) -> Found:
+        """See :meth:`TreeSearch.proved`; if R e2 and R e3 have a cost, the proof has them, too."""
+        found = super().proved(request, found)
+        proofs = [self._lifted(request, each) for each in found.proofs] if self._lifts else []
+        return replace(found, proofs=tuple(proofs)) if proofs else found
+
+    def _lifted(self, request: Request, tree: ProofTree) -> ProofTree:
+        """Return a proof of whole rotations, at the least cost of R e2 and R e3."""
+        condensed, every = self._condensed, (len(tree.point), self._problem.horizon, 6)
+        slope = condensed.hessian @ tree.point + condensed.affine(request.state, request.goals)[0]
+        slope -= tree.shor[:, :, None] * tree.point
+        if self._stiff:
+            slope += self._arrival[:, None] * tree.pull
+        others = np.broadcast_to(self._least_of_others(request)[0], every)
+        return tree._replace(point=np.concatenate([tree.point, others], axis=2), share=slope)
+
+    def _least_of_others(self, request: Request) -> tuple[Array, float]:
+        """Return the coordinates of R e2 and R e3 of least cost, shape (N, 6), and that cost."""
+        others, data = self._condensed.others, knowns(request.state, request.goals)[:, 3:]
+        pulled = others.pulled @ data
+        least = -np.linalg.lstsq(others.hessian, pulled)[0]
+        return least, 0.5 * float(np.vdot(pulled, least)) + float(
+            np.vdot(data, others.squared @ data)
+        )
+
+    def _posed(self, request: Request, left: Array) -> StageProblem:
+        posed = super()._posed(request, left)
+        if not self._lifts:
+            return posed
+        return posed._replace(constant=posed.constant + self._least_of_others(request)[1])
 
     def _left(self, request: Request) -> Array:
         """Return what headings have to add up to, weighted by the arrival's shares, shape (n,)."""

@@ -296,14 +296,13 @@ class PlaceProgram:
     def solves(problem: Problem) -> bool:
         """Return True if this program applies to a problem and is fast on this machine."""
         plane = problem.dimension == 2
-        weights = problem.weights
         return (
             COMPILED
             and problem.rotation_order == 1
-            and (plane or weights.input == weights.attitude == 0.0)
+            and (plane or not problem.weighs_rotations)
             and (plane or not problem.turns_are_angles)
             and problem.terminal == 'penalty'
-            and weights.length == 0.0
+            and problem.weights.length == 0.0
             and not problem.has_cones
             and not problem.approach.exists
             and suits_dense_code(problem)

@@ -84,7 +84,7 @@ class Program:
         n, steps = problem.dimension, problem.horizon
         self._decided = problem.rotation_order - 1
         self._coasting = coasting and bool(self._decided)
-        axial = problem.weights.input == problem.weights.attitude == 0.0 and not self._decided
+        axial = not (problem.weighs_rotations or self._decided)
         self._width = n if axial else coordinate_count(n)
         self._lengths = length_weights(problem)[1:]
         sized = bool(self._lengths.any() or problem.tilt or problem.max_acceleration)

@@ -143,9 +143,15 @@ def method_for(
 
 
 def bodiless(problem: Problem, tolerance: float, *, coasting: bool) -> Any:
-    """Return the search over stage sets for a problem without its bodies; None without one."""
+    """Return the search over stage sets for a problem without its bodies; None without one.
+
+    In space, its cost is that of R e1 alone: no other column's is negative.
+    """
     alone, methods = replace(problem, obstacles=()), starmap(_imported, METHODS)
-    fitting = (method for method in methods if method.solves(alone, coasting=coasting))
+    asked = alone
+    if problem.dimension == 3:
+        asked = replace(alone, weights=replace(problem.weights, input=0.0, attitude=0.0))
+    fitting = (method for method in methods if method.solves(asked, coasting=coasting))
     return next((method(alone, tolerance) for method in fitting), None)
 
 
