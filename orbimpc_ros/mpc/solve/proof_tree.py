@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.proof.tree import EMPTY, LEAF, NOTHING, POINTS, ProofTree
 from orbimpc_ros.mpc.solve.regions import CONE, Held, Regions, Rows
 from orbimpc_ros.mpc.solve.relaxation import HEADING, Multipliers, Relaxation
 
-LATE = 800  # nodes times steps of a proof written after the deadline: 1 to 3 ms
+LATE_NODES = 80  # limit for a proof written after the deadline: 1 to 3 ms
 
 
 class Leaf(NamedTuple):
@@ -182,13 +182,12 @@ class ProofWriter:
                 many as there is time for.
         """
         count, leaves = len(nodes), dict[int, Leaf]()
-        few = LATE // self._regions.problem.horizon
         if most is not None:
             ends = [each.first + each.cut.parts for each in nodes if each.cut]
             count = max([1, *(end for end in ends if end <= most)])
         for node in nodes[:count]:
-            if most is None and count > few and self._regions.request.late:
-                return self.tree(nodes, few)
+            if most is None and count > LATE_NODES and self._regions.request.late:
+                return self.tree(nodes, LATE_NODES)
             is_split = node.cut is not None and node.first + node.cut.parts <= count
             if is_split or node.region is None:
                 continue
