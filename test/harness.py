@@ -1,8 +1,5 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
-"""Harness for nodes under test: DDS domains, node processes, and a node that observes them.
-
-Shared by tests, the fault matrix and the benchmarks of live planners.
-"""
+"""Harness for nodes in tests, faults and benchmarks: domains, processes, and an observing node."""
 
 from __future__ import annotations
 

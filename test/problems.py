@@ -230,12 +230,11 @@ def state(rng: np.random.Generator, problem: Problem, *, full_speed: bool = True
     n = problem.dimension
     attitude = rotation(rng, n)
     fraction = 1.0 if full_speed else rng.uniform(0.3, 1.0)
-    second = problem.translation_order == 2
     turning = 0.3 * rng.normal(size=1 if n == 2 else 3)
     return State.at(
         rng.normal(size=n),
         fraction * attitude,
-        velocity=0.3 * rng.normal(size=n) if second else None,
+        velocity=0.3 * rng.normal(size=n) if problem.translation_order == 2 else None,
         attitude=attitude,
         coasted=attitude @ exp(problem.step * turning) if problem.rotation_order == 2 else None,
     )
@@ -251,9 +250,8 @@ def disturbed(rng: np.random.Generator, problem: Problem, *, full_speed: bool = 
 
 def goals(rng: np.random.Generator, problem: Problem, distance: float = 4.0) -> np.ndarray:
     """Return drifting goals, a different one for every step."""
-    first = distance * rng.normal(size=problem.dimension)
-    drift = 0.2 * rng.normal(size=(problem.horizon, problem.dimension))
-    return first + np.cumsum(drift, axis=0)
+    shape = problem.horizon, problem.dimension
+    return distance * rng.normal(size=shape[1]) + np.cumsum(0.2 * rng.normal(size=shape), axis=0)
 
 
 def weights(rng: np.random.Generator) -> Weights:

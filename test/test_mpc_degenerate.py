@@ -1,8 +1,7 @@
 # Copyright 2026 orbimpc_ros developers. SPDX-License-Identifier: Apache-2.0
 """Random and degenerate problems: only commands that passed the check are sent.
 
-``make test`` draws 600 ticks; ``ORBIMPC_LONG=1 pytest test/test_mpc_degenerate.py``
-(``make questions``) draws 5,000.
+``make test`` draws 600 ticks, ``make questions`` (with ``ORBIMPC_LONG=1``) 5,000.
 """
 
 import os

@@ -25,7 +25,7 @@ from orbimpc_ros.mpc.proof import document, sets
 from orbimpc_ros.mpc.proof.arithmetic import as_fractions
 from orbimpc_ros.mpc.proof.document import Refused, certificate_of, text_of, verified
 from orbimpc_ros.mpc.proof.stated import ENDS, NO_LIMITS, STEP, Body, Cone, Statement
-from orbimpc_ros.mpc.proof.tree import ARCS, ARRAYS, CUT, EMPTY, LEAF, ROW, SPEED, one
+from orbimpc_ros.mpc.proof.tree import ARCS, CUT, EMPTY, LEAF, ROW, SPEED, one
 from orbimpc_ros.mpc.proof.verify import Verifier
 
 
@@ -109,7 +109,7 @@ def _tampered(tree, rng):
     return tree._replace(**{name: value})
 
 
-def forged(nodes, at, origin=0.0):
+def forged(nodes, at, origin=0.0, late=None):
     """Return the bound that a tree of splits proves for headings above a round floor."""
     weights = Weights(position=0.0, input=0.0, length=1.0)
     problem = Problem(horizon=3, floor=floor('circle', 0.6), weights=weights)
@@ -117,7 +117,7 @@ def forged(nodes, at, origin=0.0):
     state, goals = State.at(np.zeros(2), np.eye(2)), rng.normal(size=(3, 2))
     tree, origins = one(rng.normal(size=(3, 2)), np.zeros(3)), np.full(3 * np.any(origin), origin)
     tree = tree._replace(nodes=np.array(nodes), at=np.array(at), origins=origins)
-    return Verifier(problem).bound(state, goals, tree)
+    return Verifier(problem).bound(state, goals, tree, late)
 
 
 def test_a_split_covers_what_it_splits_and_each_node_has_one_parent():
@@ -130,6 +130,15 @@ def test_a_split_covers_what_it_splits_and_each_node_has_one_parent():
         assert forged([[ARCS, 0, 1, count, -1], leaf], [0.0] * 2) == -math.inf
     shared = [[ARCS, 0, 1, 2, -1], [CUT, 0, 3, 2, -1], [CUT, 0, 3, 2, -1], leaf, leaf]
     assert forged(shared, [0.0, 1.0, 4.0, 0.0, 0.0]) == -math.inf
+
+
+def test_a_tree_deeper_than_most_is_verified_in_one_slice():
+    nodes, leaf = [[ARCS, 0, 1, 2, -1]], [LEAF, 0, 0, 0, 0]
+    for first in range(3, 83, 2):
+        nodes += [leaf, [CUT, 0, first, 2, -1]]
+    at = [2.0 * np.pi * (1.0 - 0.5 ** (1 + k // 2)) for k in range(len(nodes))]
+    tree = [*nodes, leaf, leaf], [0.0, *at[1:], 0.0, 0.0]
+    assert forged(*tree, late=lambda: True) == forged(*tree) > -math.inf
 
 
 # --- documents
@@ -308,16 +317,12 @@ def test_what_takes_more_work_than_its_length_may_is_refused():
         verified({**document_of(50), 'limits': {'bodies': [BALL] * 1000}})
 
 
-def test_a_tree_deeper_than_most_is_verified_in_one_slice():
-    nodes, deep = np.zeros((81, 5), np.int64), np.arange(0, 80, 2)
-    nodes[deep] = [[CUT if k else ARCS, 0, k + 1, 2, -1] for k in deep]
-    nodes[[*deep + 1, 80], ROW] = np.arange(41)
-    at = 2.0 * np.pi * (nodes[:, 0] == CUT) * (1.0 - 0.5 ** (1 + np.arange(81) // 2))
-    tree = one(np.zeros((2, 2)), np.zeros(2))._replace(nodes=nodes, at=at)
-    leaves = {name: np.repeat(getattr(tree, name), 41, axis=0) for name in ARRAYS[2:5]}
-    asked = State.at([0.0, 0.0], np.eye(2)), np.ones((2, 2)), tree._replace(**leaves)
-    late, timeless = (Verifier(Problem(horizon=2, floor=floor('circle'))) for _ in range(2))
-    assert late.bound(*asked, lambda: True) == timeless.bound(*asked) > -np.inf
+def test_a_cost_is_convex_whatever_was_verified_before():
+    asked = State.at([0.0, 0.0], np.eye(2)), np.ones((2, 2))
+    verifier = Verifier(Problem(horizon=2, weights=Weights(input=0.0)))  # the last heading is free
+    trees = (one(np.zeros((2, 2)), np.array(shor)) for shor in ([0.0, 0.0], [1.0, -1.0]) * 2)
+    first, _, again, _ = (verifier.bound(*asked, each) for each in trees)
+    assert first == again > -np.inf
 
 
 def test_a_problem_in_the_plane_may_state_the_same_cone_twice():

@@ -343,7 +343,7 @@ def _is_bound(stated, shor, point, work):
         work: positions and velocities there, and work arrays.
     """
     units, zero = work.units, 0 * stated.full
-    if _is_within(shor, work.convex):
+    if _is_within(shor, work.convex) or _is_within(shor, units.nothing[0]):
         return True
     if units.slopes[0, 0] == 0:  # not set yet: its columns are the gradients at unit headings
         nothing = units.nothing
