@@ -301,9 +301,7 @@ def in_another_dimension(known):
 
 CHANGES = {
     'no tree': lambda known: known['refuted'].update(trees=[]),
-    'more trees than steps': lambda known: known['refuted'].update(
-        trees=3 * known['refuted']['trees']
-    ),
+    'too many trees': lambda known: known['refuted'].update(trees=3 * known['refuted']['trees']),
     'a cone of nothing': lambda known: known['refuted'].pop('radius'),
     'trees of nothing': lambda known: known.update(refuted={'trees': known['refuted']['trees']}),
     'a radius below zero': lambda known: known['refuted'].update(radius=-RADIUS),

@@ -20,7 +20,7 @@ from orbimpc_ros.mpc.kernels import COMPILED, bare
 from orbimpc_ros.mpc.model.dynamics import Condensed, length_weights, regular
 from orbimpc_ros.mpc.problem import Problem, State
 from orbimpc_ros.mpc.problem.problem import LEEWAY
-from orbimpc_ros.mpc.problem.reach import entry_speed
+from orbimpc_ros.mpc.problem.reach import decided, entry_speed
 from orbimpc_ros.mpc.proof.tree import CHILD, CHILDREN, NOTHING, NOWHERE, ROW, ProofTree
 from orbimpc_ros.mpc.proof.verify import SLICE as VERIFIED
 from orbimpc_ros.mpc.search.best_first import EMPTY, LEAST, MADE, NODES, PAUSED, VALUE
@@ -35,6 +35,8 @@ ROOM = 1_000_000  # memory of the search, in nodes times steps
 SLICE = 3e5  # multiplications between checks of the deadline: less than a millisecond
 NONE: Array = np.zeros((0, 2))  # no guess
 NO_ROWS = np.zeros(0, np.int64)
+STIFF = 1e4  # weight of an arrival, in units of the largest curvature
+OUT_OF_REACH = 1e-9  # relative margin beyond the reach
 SETTLED = 90.0  # factor on the tolerance of the search if constraints couple steps
 
 
@@ -81,6 +83,17 @@ class TreeSearch:
         cost = self._hessian, self._inverse, q, self._lengths, constant
         return StageProblem(*cost, self._floor, self._arrival, left, self._stiff)
 
+    def _left(self, request: Request) -> Array:
+        """Return what headings have to add up to, weighted by the arrival's shares, shape (n,)."""
+        state, goal = request.state, request.goals[-1]
+        if not self._stiff:
+            return np.zeros(len(goal))
+        left = np.asarray(goal - decided(self._problem, state)[0][-1])
+        reach = float(self._arrival.sum())
+        if np.linalg.norm(left) > reach + OUT_OF_REACH * (reach or 1.0):
+            raise Infeasible('the goal is out of reach')
+        return left
+
     def _run(self, request: Request, posed: StageProblem, tree: Tree, *inputs: object) -> Found:
         """Search from the root; return the result with its proofs; see :meth:`resumed`."""
         tree.counts[:] = 0  # it begins
@@ -102,7 +115,7 @@ class TreeSearch:
             if request.late or left <= 0.0 or request.enough.met(self._result(tree, posed)):
                 break
         if status == EMPTY:
-            raise Infeasible('no turn meets the cone of approach')
+            raise Infeasible('no turns arrive, or meet the cone of approach')
         self.has_ended = status != PAUSED
         return self._result(tree, posed)
 
@@ -164,8 +177,14 @@ class PlanarSearch(TreeSearch):
         floor = problem.floor
         self._faces = floor.faces if floor.shape == 'polygon' else 0
         self._widest = problem.widest_turn if floor.exists else math.pi
+        if problem.terminal == 'constraint':
+            self._arrival = problem.maps.reach[-1, 1:].copy()
+            largest = np.diag(self._hessian).max() / np.square(self._arrival).max()
+            self._stiff = STIFF * float(largest)
+            bent = self._hessian + self._stiff * np.outer(self._arrival, self._arrival)
+            self._inverse = np.linalg.inv(bent)
         self.takes_guess = floor.exists  # relaxations over disks need none
-        if problem.max_rate or problem.max_acceleration or floor.shape == 'circle':
+        if problem.max_rate or problem.max_acceleration or floor.shape == 'circle' or self._stiff:
             self._tolerance *= SETTLED
         self._prepare()
 
@@ -181,11 +200,15 @@ class PlanarSearch(TreeSearch):
         disks = not any((floor.exists, changes, aimed, late))
         straight = disks and not problem.weights.length
         kind = problem.dimension, problem.rotation_order - coasting * late, problem.terminal
+        bound_to = aimed or late or problem.inertial or problem.max_acceleration > 0.0
+        curved = problem.weights.position > 0.0 or problem.weights.input > 0.0
+        moved = problem.decided_steps < problem.horizon  # else the state decides the arrival
+        arriving = floor.exists and curved and moved and not bound_to
         longest = LONGEST_INERTIAL if disks and problem.inertial else LONGEST
         return all(
             (
                 COMPILED,
-                kind == (2, 1, 'penalty'),
+                kind == (2, 1, 'penalty') or (kind == (2, 1, 'constraint') and arriving),
                 not problem.obstacles,
                 straight or floor.shape == 'polygon' or (floor.exists and (changes or late)),
                 not (aimed and floor.fraction < problem.least_heading),
@@ -199,7 +222,7 @@ class PlanarSearch(TreeSearch):
         Raises:
             Infeasible: no turns lead to an allowed last heading.
         """
-        ring, posed = self._ring(request.state), self._posed(request, np.zeros(2))
+        ring, posed = self._ring(request.state), self._posed(request, self._left(request))
         thread, steps = get_ident(), self._problem.horizon
         tree, room = tree_for(thread, ROOM // steps, steps, 2, 0), room_for(thread, steps)
         # Copied, since for a read-only or strided array other code would be compiled in a tick.

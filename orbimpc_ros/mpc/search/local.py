@@ -8,7 +8,8 @@ theta_k = theta_0 + d_1 + ... + d_k, floor, disk and turn rate become the box 0 
 against are held, all others move, and steps are projected back into the box.
 
 A limit of the change of speed couples the moduli of neighbours. Multipliers and a penalty add it to
-the cost (an augmented Lagrangian); remaining violations are clipped, for a feasible result.
+the cost (an augmented Lagrangian); remaining violations are clipped, for a feasible result. An arrival
+is added likewise, but met exactly or not at all.
 
 Mathematics: docs/mathematics.md, 4.3.
 """
@@ -20,7 +21,7 @@ import numpy as np
 from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.linear import largest, solve_spd
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
-from orbimpc_ros.mpc.search.relax import cost_of, rise_of
+from orbimpc_ros.mpc.search.relax import ARRIVED, cost_of, missed_by, misses, pulled, rise_of
 from orbimpc_ros.mpc.search.ring import HALF, HIGH, LOW, TURN, least_speed
 
 STEPS = 40  # most steps of Newton's method
@@ -32,6 +33,9 @@ WITHIN = 1.0 - 1e-9  # share of the largest turn, so that rounding does not exce
 SMALL = 1e-12  # a heading shorter than this has no direction
 ROUNDS = 10  # most updates of the multipliers of changes of speed
 KEPT = 1e-8  # a change too large by less needs no further round
+LANDINGS = 20  # most updates of the multipliers of an arrival
+# Of its weight: initially; growth if misses shrink slowly, by more than this ratio.
+SOFT, HARDER, SLOWLY = 1e-3, 10.0, 0.1
 STIFF, STIFFER = 10.0, 3.0  # penalty in units of the largest curvature, and its growth per round
 
 
@@ -285,6 +289,23 @@ def _descend(posed, ring, chain, stiff, speeds, turns, z):
             break
     for k in range(count):
         speeds[k], turns[k] = y[k], y[count + k]
+
+
+@compiled
+def land(posed, ring, pull, speeds, turns, z):
+    """Descend to a local optimum that arrives; return False on failure; see :func:`descend`."""
+    stiff, last, none = SOFT * posed.stiff, np.inf, np.zeros((0, 2))
+    for _ in range(LANDINGS):
+        _descend(pulled(posed, pull, stiff), ring, none, 0.0, speeds, turns, z)
+        missed = misses(posed, z)
+        if missed <= ARRIVED:
+            return True
+        for c in range(2):
+            pull[c] += stiff * missed_by(posed, z, c)
+        if missed > SLOWLY * last:
+            stiff = min(posed.stiff, HARDER * stiff)
+        last = missed
+    return False
 
 
 @compiled

@@ -40,6 +40,7 @@ LONGEST = 1e7  # most multiplications without a check of the deadline
 ON = 1e-12  # relative: so close to the least speed, a length does not pull
 ROUNDING = 1e-15  # relative error of terms that cancel
 HALVINGS, SHRINK = 6, 0.4
+ARRIVED = 1e-9  # in units of a step's length: smaller misses of an arrival do not count
 SPACES = 4  # number of working memories that are kept
 
 
@@ -109,6 +110,62 @@ def room_for(thread: int, steps: int) -> Room:
     made = Room._make(np.zeros(each) for each in shapes)
     faces, indices = np.zeros(n, np.int64), np.zeros(size, np.int64)
     return made._replace(changed=np.zeros(n, np.bool_), faces=faces, steps=indices)
+
+
+@compiled
+def missed_by(posed, z, c):
+    """Return the miss of the arrival along an axis."""
+    missed = -posed.left[c]
+    for k in range(len(z)):
+        missed += posed.arrival[k] * z[k, c]
+    return missed
+
+
+@compiled
+def misses(posed, z):
+    """Return the largest miss of the arrival along an axis."""
+    most = 0.0
+    for c in range(len(posed.left) if posed.stiff > 0.0 else 0):
+        most = max(most, abs(missed_by(posed, z, c)))
+    return most
+
+
+@compiled
+def settle(posed, z):
+    """Move headings by as little as possible onto the arrival, if there is one."""
+    for c in range(z.shape[1] if posed.stiff > 0.0 else 0):
+        share = missed_by(posed, z, c) / (posed.arrival**2).sum()
+        for k in range(len(z)):
+            z[k, c] -= share * posed.arrival[k]
+
+
+@compiled
+def pulled(posed, pull, stiff):
+    """Return a problem with multipliers of its arrival, and a penalty, in the cost instead.
+
+    Args:
+        posed: the problem, maybe without an arrival.
+        pull: multipliers, shape (n,).
+        stiff: weight of the penalty.
+    """
+    hessian, q, constant, a = posed.hessian.copy(), posed.q.copy(), posed.constant, posed.arrival
+    for c in range(len(posed.left)):
+        left = posed.left[c]
+        constant += (0.5 * stiff * left - pull[c]) * left
+        for k in range(len(a)):
+            q[k, c] += a[k] * (pull[c] - stiff * left)
+    for j in range(len(a)):
+        for k in range(len(a)):
+            hessian[j, k] += stiff * a[j] * a[k]
+    cost = hessian, posed.inverse, q, posed.lengths, constant
+    return StageProblem(*cost, posed.floor, a, posed.left, posed.stiff)
+
+
+@compiled
+def most_of(posed):
+    """Return an upper bound on the costs of all points, without the constant."""
+    most = posed.lengths.sum() + np.sqrt(len(posed.q) * (posed.q**2).sum())
+    return most + 0.5 * np.abs(posed.hessian).sum()
 
 
 @compiled

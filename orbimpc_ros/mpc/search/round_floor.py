@@ -20,13 +20,11 @@ from threading import get_ident
 import numpy as np
 
 from orbimpc_ros.mpc.arrays import Array
-from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import copy_to
 from orbimpc_ros.mpc.model.dynamics import knowns
 from orbimpc_ros.mpc.problem import Problem
-from orbimpc_ros.mpc.problem.reach import decided
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, ProofTree
 from orbimpc_ros.mpc.search.best_first import (
     CLOSED,
@@ -44,7 +42,7 @@ from orbimpc_ros.mpc.search.best_first import (
     leave_open,
     take,
 )
-from orbimpc_ros.mpc.search.engine import SETTLED, TreeSearch
+from orbimpc_ros.mpc.search.engine import SETTLED, STIFF, TreeSearch
 from orbimpc_ros.mpc.search.relax import StageProblem, rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, cut_near, take_part
 from orbimpc_ros.mpc.search.shells import (
@@ -68,9 +66,7 @@ NEAR = 0.2  # share of a bound's gap: climbs that cannot gain more than this end
 YOUNG, EVERY = 4, 4  # descents start from each of the first nodes, then from every 4th
 MOST, ROOM = 12_800, 800_000  # most nodes of a search; nodes times steps
 BRANCHES = 2500  # most nodes of the general search
-STIFF = 1e4  # weight of an arrival, in units of the largest curvature
 SAME = 1e-9  # relative: costs this close to the incumbent's count as equal
-OUT_OF_REACH = 1e-9  # relative margin beyond the reach
 
 
 @compiled
@@ -235,7 +231,7 @@ class RoundFloor(TreeSearch):
         """Return True if this method applies to a problem."""
         constrained = problem.terminal == 'constraint'
         arrives = constrained or problem.arrival_weight > 0.0
-        decided = constrained and not problem.maps.reach[-1, 1:].any()  # the state decides it
+        decided = constrained and problem.decided_steps == problem.horizon  # by the state
         return (
             (problem.floor.shape, problem.rotation_order) == ('circle', 1)
             and not (problem.inertial and arrives)
@@ -301,17 +297,6 @@ class RoundFloor(TreeSearch):
         if not self._lifts:
             return posed
         return posed._replace(constant=posed.constant + self._least_of_others(request)[1])
-
-    def _left(self, request: Request) -> Array:
-        """Return what headings have to add up to, weighted by the arrival's shares, shape (n,)."""
-        state, goal = request.state, request.goals[-1]
-        if not self._stiff:
-            return np.zeros(len(goal))
-        left = np.asarray(goal - decided(self._problem, state)[0][-1])
-        reach = float(self._arrival.sum())
-        if np.linalg.norm(left) > reach + OUT_OF_REACH * (reach or 1.0):
-            raise Infeasible('the goal is out of reach')
-        return left
 
     def _by_branches(self, request: Request, result: Found) -> Found:
         """Return the better of a result and that of the general search, with the higher bound."""

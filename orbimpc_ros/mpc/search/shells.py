@@ -20,7 +20,15 @@ from orbimpc_ros.mpc.kernels import compiled
 from orbimpc_ros.mpc.kernels.linear import copy_to, set_basis
 from orbimpc_ros.mpc.search.best_first import NEGLIGIBLE
 from orbimpc_ros.mpc.search.local import CALMED, DAMPED, SETTLED, STIFFENED, STIFFEST, set_step
-from orbimpc_ros.mpc.search.relax import cost_of, length_of, rise_of
+from orbimpc_ros.mpc.search.relax import (
+    ARRIVED,
+    cost_of,
+    length_of,
+    missed_by,
+    misses,
+    rise_of,
+    settle,
+)
 
 SWEEPS, STILL = 50, 1e-4  # most sweeps over the headings; they end when none moves by more
 SWEEP = 10.0  # typical number of sweeps in a round
@@ -32,7 +40,6 @@ ROUNDS = 20  # most updates of the multipliers of an arrival
 SOFT, STIFFER = 1e-3, 10.0  # of the arrival's weight: initially; growth if misses shrink slowly
 SLOW = 0.1  # ratio of successive misses above which they shrink slowly
 PROJECTIONS = 1000  # most alternating projections, onto arrival and shells
-ARRIVED = 1e-9  # in units of a step's length: smaller misses of an arrival do not count
 TINY = 1e-12  # a heading shorter than this has no direction
 
 
@@ -52,24 +59,6 @@ class Descent(NamedTuple):
     z: Array
     pull: Array
     numbers: Array
-
-
-@compiled
-def missed_by(posed, z, c):
-    """Return the miss of the arrival along an axis."""
-    missed = -posed.left[c]
-    for k in range(len(z)):
-        missed += posed.arrival[k] * z[k, c]
-    return missed
-
-
-@compiled
-def misses(posed, z):
-    """Return the largest miss of the arrival along an axis."""
-    most = 0.0
-    for c in range(len(posed.left) if posed.stiff > 0.0 else 0):
-        most = max(most, abs(missed_by(posed, z, c)))
-    return most
 
 
 @compiled
@@ -104,15 +93,11 @@ def arrive(posed, z):
 @compiled
 def land(posed, z):
     """Project headings alternately onto the shells and the arrival; return False on failure."""
-    (count, n), square = z.shape, (posed.arrival**2).sum()
     for _ in range(PROJECTIONS):
         _put(posed, z)
         if misses(posed, z) <= ARRIVED:
             return True
-        for c in range(n):
-            share = missed_by(posed, z, c) / square
-            for k in range(count):
-                z[k, c] -= share * posed.arrival[k]
+        settle(posed, z)
     return False
 
 

@@ -38,8 +38,8 @@ from orbimpc_ros.mpc.kernels.linear import (
     solve_factored,
     solve_spd,
 )
+from orbimpc_ros.mpc.search.relax import missed_by
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN
-from orbimpc_ros.mpc.search.shells import missed_by
 from orbimpc_ros.mpc.search.tree import KEY, MU, NARROWEST, TAKEN
 
 GOING, CLIMBED, PRUNED = range(3)  # outcomes of a climb

@@ -36,16 +36,22 @@ from orbimpc_ros.mpc.search.best_first import (
     leave_open,
     take,
 )
-from orbimpc_ros.mpc.search.local import descend, is_paced, round_off, set_headings
+from orbimpc_ros.mpc.search.local import descend, is_paced, land, round_off, set_headings
 from orbimpc_ros.mpc.search.relax import (
     GOING,
+    PRUNED,
     SOLVED,
     SPACES,
     STALLED,
     cost_of,
+    missed_by,
+    misses,
+    most_of,
+    pulled,
     relax,
     rise_of,
     set_slope,
+    settle,
     tangent_bound,
 )
 from orbimpc_ros.mpc.search.ring import (
@@ -67,13 +73,17 @@ from orbimpc_ros.mpc.search.ring import (
     take_part,
 )
 
-PROMISES = 3  # in Tree.counts
+PROMISES, FROM = 3, 4  # in Tree.counts: whether a descent is due; the node it starts from
 KEY, TAKEN, MU = range(3)  # in Tree.progress: bound; Newton steps; smoothing of the dual function
 MOST_ARCS = 5  # most arcs that the headings of a step are split into
 NODE, STEP = 1500.0, 350.0  # work of a node in addition to its relaxation, and per step
 NARROWEST = 1e-6  # narrower sectors [rad] and ranges of speeds are not cut
 SATISFIED = 1e-8  # smaller violations of a floor or a turn are not branched on
 MEMORY: dict[tuple[int, int], np.ndarray] = {}  # by thread and field
+ROUNDS, MISSED = 20, 1e-8  # most updates of an arrival's multipliers; a miss that needs none
+# Of the weight of an arrival, in relaxations: initially; growth if misses shrink slowly.
+SOFT, STIFFER = 1e-2, 10.0
+SLOWLY = 0.5  # ratio of successive misses above which they shrink slowly
 ACCURATE = 0.02  # gap of a node's relaxation, as a share of the tolerance
 
 
@@ -89,7 +99,7 @@ class Tree(NamedTuple):
         point: tangent point of a node's bound, shape (M, N, n).
         held: multipliers by kind, shape (M, K, N).
         kept: curvatures assigned to single steps in that bound, shape (M, C, N).
-        pull: multipliers of an arrival in that bound, shape (M, C, n).
+        pull: multipliers of an arrival in that bound, shape (M, 1, n).
         progress: see the names of its entries, shape (M, 3).
         nodes: as in proofs (:class:`orbimpc_ros.mpc.proof.tree.ProofTree`), but with leaves not
             numbered yet, shape (M, 5).
@@ -133,7 +143,7 @@ def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
     """
     shor, shaped = min(1, kinds), 0 if kinds else steps
     wide = (steps, SECTOR), (shaped, OUTLINE), (steps, n), (steps, n), (kinds, steps)
-    shapes = *wide, (shor, steps), (shor, n), (3,), (5,), (), (), ()
+    shapes = *wide, (shor, steps), (1, n), (3,), (5,), (), (), ()
     arrays = [_kept(thread, i, nodes, shape) for i, shape in enumerate(shapes)]
     return Tree._make([*arrays, np.zeros((steps, n)), np.zeros(8, np.int64), np.zeros(3)])
 
@@ -397,7 +407,7 @@ def _split(posed, ring, tree, node, choice, cut, parts, cutoff, room):
                 room.changed[k] |= sector[k, e] != tree.sectors[node, k, e]
             if room.changed[k]:
                 outline(ring, sector[k], shapes[k])
-        if _moved(posed, shapes, room.changed, tree.z[i], room.trial):
+        if posed.stiff == 0.0 and _moved(posed, shapes, room.changed, tree.z[i], room.trial):
             set_slope(posed.hessian, posed.q, room.trial, room.slope)
             key = tangent_bound(posed, shapes, room.trial, room.slope)[1]
             if key > tree.progress[i, KEY]:
@@ -430,6 +440,8 @@ def is_promising(posed, ring, tree, z, sector, share, room):
     """
     value = tree.numbers[VALUE]
     round_off(ring, z, sector, room.speeds, room.turns)
+    if posed.stiff > 0.0:  # it does not arrive yet
+        return share > 0.0
     if ring.change < np.inf and not is_paced(ring, room.speeds, room.turns):
         return False
     set_headings(ring, room.speeds, room.turns, room.trial)
@@ -449,7 +461,12 @@ def is_promising(posed, ring, tree, z, sector, share, room):
 def improve(posed, ring, tree, room):
     """Descend from the speeds and turns of a promising trajectory, then clip it to the approach."""
     z, sector, end = room.trial, tree.sectors[0].copy(), len(posed.q) - 1
-    legal = descend(posed, ring, room.speeds, room.turns, z)
+    if posed.stiff > 0.0:
+        legal = land(
+            posed, ring, tree.pull[tree.counts[FROM], 0].copy(), room.speeds, room.turns, z
+        )
+    else:
+        legal = descend(posed, ring, room.speeds, room.turns, z)
     if ring.within < HALF:
         _, way = _way(ring, room.turns)
         sector[end, LOW] = max(sector[end, LOW], way - ring.within)
@@ -471,7 +488,8 @@ def _begin(posed, ring, tree, guess, room):
     """
     plant(tree)
     start, ahead = tree.z[0], np.empty_like(tree.best)
-    add_product(posed.inverse, posed.q, -1.0, start)
+    free = pulled(posed, tree.pull[0, 0], posed.stiff) if posed.stiff > 0.0 else posed
+    add_product(posed.inverse, free.q, -1.0, start)
     copy_to(tree.point[0], start)
     if not set_reachable(ring, tree.sectors[0]):
         return False
@@ -496,23 +514,63 @@ def _choose(posed, ring, tree, node, room):
     counts, sector, z = tree.counts, tree.sectors[node], tree.z[node]
     choice, cut, parts = _branching(ring, posed.inverse, z, sector)
     if choice < 0:
+        settle(posed, z)
         take_better(posed, tree, z)
     elif ring.fraction > 0.0:
-        share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # at powers of two
+        share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # powers of two
+        counts[FROM] = node
         counts[PROMISES] = is_promising(posed, ring, tree, z, sector, share, room)
     return choice, cut, parts
 
 
 @compiled
+def _cutoff(posed, tree, tolerance):
+    """Return the bound from which on nodes are pruned; with an arrival those without any, too."""
+    cutoff = cutoff_of(tree.numbers[VALUE], posed.constant, tolerance)
+    return min(cutoff, most_of(posed)) if posed.stiff > 0.0 else cutoff
+
+
+@compiled
+def _relax_arriving(posed, tree, node, limits, room, work):
+    """Relax a node, and update the multipliers of the arrival until its point arrives.
+
+    Where there is no point that does, multipliers and bound grow beyond all costs.
+    """
+    z, point, progress = tree.z[node], tree.point[node], tree.progress[node]
+    pull, stiff, last = tree.pull[node, 0].copy(), SOFT * posed.stiff, np.inf
+    for _ in range(ROUNDS):
+        free, key = pulled(posed, pull, stiff), progress[KEY]
+        shift = free.constant - posed.constant
+        progress[KEY] = before = key - shift
+        relaxed = z, point, progress, tree.shapes[node]
+        status, work = relax(free, relaxed, (limits[0] - shift, limits[1]), room, work)
+        rises, missed = progress[KEY] > before, misses(posed, z)
+        progress[KEY] = progress[KEY] + shift if rises else key
+        for c in range(2):
+            if rises:
+                tree.pull[node, 0, c] = pull[c] + stiff * missed_by(posed, point, c)
+            pull[c] += stiff * missed_by(posed, z, c)
+        if status in (PRUNED, GOING) or missed <= MISSED:
+            return status, work
+        if missed > SLOWLY * last:
+            stiff *= STIFFER
+        last = missed
+    return GOING, work
+
+
+@compiled
 def _solve_node(posed, ring, tree, node, tolerance, room, work):
     """Relax a node, round its point, and split it; return the remaining multiplications."""
-    counts, numbers = tree.counts, tree.numbers
+    counts = tree.counts
     first, windings = _aim(ring, tree.sectors[node])
     choice, cut, parts, status = len(posed.q) - 1, ring.last + TURN * first + np.pi, 2, SOLVED
     if windings == 1:
-        limits = cutoff_of(numbers[VALUE], posed.constant, tolerance), ACCURATE * tolerance
-        relaxed = tree.z[node], tree.point[node], tree.progress[node], tree.shapes[node]
-        status, work = relax(posed, relaxed, limits, room, work)
+        limits = _cutoff(posed, tree, tolerance), ACCURATE * tolerance
+        if posed.stiff > 0.0:
+            status, work = _relax_arriving(posed, tree, node, limits, room, work)
+        else:
+            relaxed = tree.z[node], tree.point[node], tree.progress[node], tree.shapes[node]
+            status, work = relax(posed, relaxed, limits, room, work)
         choice = -1
         if status in (SOLVED, STALLED):
             choice, cut, parts = _choose(posed, ring, tree, node, room)
@@ -525,7 +583,7 @@ def _solve_node(posed, ring, tree, node, tolerance, room, work):
     if choice < 0:
         close(tree, tree.progress[node, KEY])
         return work
-    cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
+    cutoff = _cutoff(posed, tree, tolerance)
     _split(posed, ring, tree, node, choice, cut, parts, cutoff, room)
     return work
 
@@ -544,7 +602,7 @@ def search(posed, tolerance, tree, ring, guess, room, work):
         work: multiplications to do.
 
     Returns:
-        ``DONE``; ``FULL`` if there is no memory for more nodes; ``EMPTY`` if the root is;
+        ``DONE``; ``FULL`` if there is no memory for more nodes; ``EMPTY`` without trajectories;
         ``PAUSED`` if the work is done, or if the next call begins with a descent.
     """
     counts, numbers, status = tree.counts, tree.numbers, PAUSED
@@ -554,7 +612,7 @@ def search(posed, tolerance, tree, ring, guess, room, work):
         improve(posed, ring, tree, room)
     counts[PROMISES] = 0
     while work > 0.0 and status == PAUSED and counts[PROMISES] == 0:
-        cutoff = cutoff_of(numbers[VALUE], posed.constant, tolerance)
+        cutoff = _cutoff(posed, tree, tolerance)
         if counts[OPEN] == 0 or tree.keys[0] >= cutoff:
             status = DONE
         elif counts[MADE] + max(MOST_ARCS, ring.faces) > len(tree.sectors):
@@ -563,4 +621,6 @@ def search(posed, tolerance, tree, ring, guess, room, work):
             work = _solve_node(posed, ring, tree, take(tree), tolerance, room, work)
             work -= NODE + STEP * len(posed.q)
     numbers[LEAST] = min(least_left(tree), numbers[VALUE])
+    if status == DONE and posed.stiff > 0.0 and numbers[LEAST] >= most_of(posed):
+        return EMPTY
     return status
