@@ -8,8 +8,8 @@ theta_k = theta_0 + d_1 + ... + d_k, floor, disk and turn rate become the box 0 
 against are held, all others move, and steps are projected back into the box.
 
 A limit of the change of speed couples the moduli of neighbours. Multipliers and a penalty add it to
-the cost (an augmented Lagrangian); remaining violations are clipped, for a feasible result. An arrival
-is added likewise, but met exactly or not at all.
+the cost (an augmented Lagrangian); remaining violations are clipped, for a feasible result.
+An arrival is added likewise; the descent fails if it is not met.
 
 Mathematics: docs/mathematics.md, 4.3.
 """

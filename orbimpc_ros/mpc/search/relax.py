@@ -133,8 +133,11 @@ def misses(posed, z):
 @compiled
 def settle(posed, z):
     """Move headings by as little as possible onto the arrival, if there is one."""
+    square = 0.0
+    for a in posed.arrival:
+        square += a * a
     for c in range(z.shape[1] if posed.stiff > 0.0 else 0):
-        share = missed_by(posed, z, c) / (posed.arrival**2).sum()
+        share = missed_by(posed, z, c) / square
         for k in range(len(z)):
             z[k, c] -= share * posed.arrival[k]
 
@@ -159,13 +162,6 @@ def pulled(posed, pull, stiff):
             hessian[j, k] += stiff * a[j] * a[k]
     cost = hessian, posed.inverse, q, posed.lengths, constant
     return StageProblem(*cost, posed.floor, a, posed.left, posed.stiff)
-
-
-@compiled
-def most_of(posed):
-    """Return an upper bound on the costs of all points, without the constant."""
-    most = posed.lengths.sum() + np.sqrt(len(posed.q) * (posed.q**2).sum())
-    return most + 0.5 * np.abs(posed.hessian).sum()
 
 
 @compiled
@@ -304,6 +300,17 @@ def length_of(z, k):
     for c in range(z.shape[1]):
         square += z[k, c] * z[k, c]
     return np.sqrt(square)
+
+
+@compiled
+def most_of(posed):
+    """Return an upper bound on the costs of all points, without the constant."""
+    most = 0.0
+    for j in range(len(posed.q)):
+        most += posed.lengths[j] + length_of(posed.q, j)
+        for k in range(len(posed.q)):
+            most += 0.5 * abs(posed.hessian[j, k])
+    return most
 
 
 @compiled
