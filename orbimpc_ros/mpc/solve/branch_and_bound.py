@@ -64,10 +64,11 @@ class BranchAndBound:
         rounded = problem.dimension == 3 and problem.floor.radius > 0.0
         self._plane = PlanarWay(problem, 0.5 * tolerance) if PlanarWay.leads(problem) else None
         self._beside = among or bool(problem.obstacles)
-        self._whole = problem.dimension == 3 and problem.weighs_rotations
+        whole = problem.dimension == 3 and problem.weighs_rotations
         # Without a floor, the relaxation of the root finds the path without bodies.
-        simpler = problem.floor.exists and (self._beside or self._whole)
+        simpler = problem.floor.exists and (self._beside or whole)
         self._alone = bodiless(problem, 0.5 * tolerance, coasting=coasting) if simpler else None
+        self._lifts = whole and self._alone is not None  # its plan is not the best one yet
         turned = problem.turns_are_angles and (self._plane or self._alone) is not None
         slow = problem.has_cones or among or rounded or turned
         self.tolerance = (HALFWAY if slow else 1.0) * tolerance
@@ -89,7 +90,7 @@ class BranchAndBound:
         if path.x is not None and self._in_plane and request.hurried:
             return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
-        among = traffic_of(self.problem, request.state) is not None or self._whole
+        among = traffic_of(self.problem, request.state) is not None or self._lifts
         return self._latest.run(path, self._alone, among=among)
 
     def _path(self, request: Request) -> Found:
