@@ -208,7 +208,7 @@ def test_a_rope_is_caught_by_a_fast_method_without_any_of_it(bare):
 
 
 def test_a_general_method_says_in_a_line_what_it_needs(bare):
-    planner = bare('planner', {}, 'dubins')
+    planner = bare('planner', {}, 'lander')
     assert planner.wait() == 2, planner.output
     said = planner.output.strip()
     assert said.startswith('clarabel: not installed; the general method for this problem needs ')
