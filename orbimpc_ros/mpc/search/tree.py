@@ -358,6 +358,18 @@ def _branching(ring, inverse, z, sector):
 
 
 @compiled
+def _widest(ring, sector):
+    """Return the choice with the widest heading (-1 for none), and how to split it."""
+    chosen, widest = -1, NARROWEST
+    for k in range(len(sector)):
+        if sector[k, HIGH] - sector[k, LOW] > widest:
+            chosen, widest = k, sector[k, HIGH] - sector[k, LOW]
+    low, high = sector[chosen, LOW], sector[chosen, HIGH]
+    cut, parts = _heading_parts(ring, 0.5 * (low + high), low, high)
+    return chosen, cut, parts
+
+
+@compiled
 def _set_part(ring, sector, choice, cut, parts, i):
     """Set the sectors of a child, given those of its parent; return False if it is empty."""
     count = len(sector)
@@ -580,10 +592,12 @@ def _solve_node(posed, ring, tree, node, tolerance, room, work):
         leave_open(tree, node, tree.progress[node, KEY], np.inf)
         return work
     counts[NODES] += 1
+    cutoff = _cutoff(posed, tree, tolerance)
+    if choice < 0 and status == STALLED and tree.progress[node, KEY] < cutoff:
+        choice, cut, parts = _widest(ring, tree.sectors[node])  # its bound is not that of its point
     if choice < 0:
         close(tree, tree.progress[node, KEY])
         return work
-    cutoff = _cutoff(posed, tree, tolerance)
     _split(posed, ring, tree, node, choice, cut, parts, cutoff, room)
     return work
 
