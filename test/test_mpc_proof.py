@@ -326,30 +326,31 @@ def test_a_cost_is_convex_whatever_was_verified_before():
 
 
 def test_a_problem_in_the_plane_may_state_the_same_cone_twice():
-    problem, cone = Problem(), Cone([0.0, 1.0], 0.3, 0.01, [5])
-    start, goals, still = State.at([0.0, 0.0], np.eye(2)), np.ones((5, 2)), np.zeros((5, 2))
-    asked, verifier = (start, goals, one(still, np.zeros(5))), Verifier(problem)
-    once, twice = (
-        verifier.bound(*asked, limits=NO_LIMITS._replace(cones=cones))
-        for cones in ((cone,), (cone, cone))
-    )
+    cone, verifier = Cone([0.0, 1.0], 0.3, 0.01, [5]), Verifier(Problem())
+    asked = State.at([0.0, 0.0], np.eye(2)), np.ones((5, 2)), one(np.zeros((5, 2)), np.zeros(5))
+    limits = (NO_LIMITS._replace(cones=times * (cone,)) for times in (1, 2))
+    once, twice = (verifier.bound(*asked, limits=each) for each in limits)
     assert once == twice > -np.inf
 
 
+@pytest.mark.parametrize('least', [0.0, 0.5])
+def test_cones_side_by_side_have_no_heading_but_rest(least):
+    cones = tuple(Cone(axis, 0.2, least, [1]) for axis in ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    asked = State.at(np.zeros(3), np.eye(3)), np.ones((1, 3)), one(np.zeros((1, 9)), np.zeros(1))
+    found = Verifier(Problem(3, horizon=1)).bound(*asked, limits=NO_LIMITS._replace(cones=cones))
+    assert (found == np.inf) == (least > 0.0)
+
+
 @pytest.mark.parametrize('discretisation', ['euler', 'exact'])
-def test_the_end_of_a_step_on_a_side_of_a_ball_proves_the_same_with_its_start_or_all_of_it(
-    discretisation,
-):
+def test_the_end_of_a_step_proves_the_same_with_its_start_or_all_of_it(discretisation):
     problem, ball = Problem(horizon=3, discretisation=discretisation), Ball([1.0, 0.2], 0.5)
     nodes, shifts = np.zeros((5, 5), np.int64), np.outer(np.arange(4.0), [-3.0, 0.0])
     nodes[0], nodes[1:, ROW] = (ARCS, 7, 1, 4, -1), np.arange(4)  # the second step's side
-    shapes = {'point': np.zeros((4, 3, 2)), 'shor': np.zeros((4, 3)), 'at': np.zeros(5)}
+    shapes = {'point': np.zeros((4, 3, 2)), 'shor': np.zeros((4, 3)), 'press': np.ones(4)}
     start, goals, bounds = State.at(np.zeros(2), np.eye(2)), np.full((3, 2), [2.0, 0.0]), []
     for of, row in ((ENDS, 1), (STEP, problem.translation.degree)):
-        rows = {'press_end': np.arange(1, 5), 'press_row': np.full(4, 4 + row)}
-        tree = one(np.zeros((3, 2)), np.zeros(3))._replace(
-            nodes=nodes, press=np.ones(4), **rows, **shapes
-        )
+        rows = {'press_end': np.arange(1, 5), 'press_row': np.full(4, 4 + row), 'at': np.zeros(5)}
+        tree = one(np.zeros((3, 2)), np.zeros(3))._replace(nodes=nodes, **rows, **shapes)
         limits = NO_LIMITS._replace(bodies=(Body(ball, of, shifts, np.zeros(3)),))
         bounds.append(Verifier(problem).bound(start, goals, tree, limits=limits))
     assert bounds[0] == bounds[1] > -np.inf
@@ -361,7 +362,6 @@ def test_a_cone_bounds_the_headings_of_its_own_steps_alone():
     start, goals = State.at(np.zeros(2), np.eye(2), wanted=-np.eye(2)), np.zeros((2, 2))
     turned = np.array([[1.0, 0.0], [-1.0, 0.0]]) / 3.0  # ahead, and then back
     leaf = one(np.array([[0.5, 0.0], [0.0, 0.0]]), np.zeros(2))  # the best that ends ahead
-    cones = (Cone([1.0, 0.0], 0.3, 0.0, [k]) for k in (1, 2))
-    limits = (NO_LIMITS._replace(cones=(each,)) for each in cones)
+    limits = (NO_LIMITS._replace(cones=(Cone([1.0, 0.0], 0.3, 0.0, [k]),)) for k in (1, 2))
     first, last = (Verifier(problem).bound(start, goals, leaf, limits=each) for each in limits)
     assert first < trajectory_of(problem, start, goals, turned).objective < 2.7 < last < 3.0

@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_502,
-    'orbimpc_ros/mpc': 14_950,
+    'orbimpc_ros': 28_504,
+    'orbimpc_ros/mpc': 14_952,
     'orbimpc_ros/loop': 3_158,
     'orbimpc_ros/ros': 4_043,
     'orbimpc_ros/sim': 2_180,
@@ -14,7 +14,7 @@ LINES = {
     'benchmarks': 3_352,
     'test': 18_000,
 }
-WORDS = {'docs': 23_893, 'README.md': 900}
+WORDS = {'docs': 23_903, 'README.md': 900}
 
 
 @pytest.mark.parametrize('folder', LINES)

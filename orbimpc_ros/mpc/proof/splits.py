@@ -250,13 +250,15 @@ def _set_patch(patches, node, i, made):
 
 @generic
 def _meets(stated, k, axis, cosine, sine):
-    """Return whether a cone meets each of the cones of heading k in space."""
+    """Return whether a cone meets each of the cones of heading k in space.
+
+    If speeds may be zero, all cones meet at their ends.
+    """
     for q in range(len(stated.cone_step)):
         cone = stated.cones[q]
-        convex = (
-            sine * cone[3] + cosine * cone[4] > 0
-        )  # together their angles are below a half turn
+        apart = stated.least > 0 or cone[5] > 0
+        convex = sine * cone[3] + cosine * cone[4] > 0  # together below a half turn
         least = cosine * cone[3] - sine * cone[4] - TOLERANCE * slack(1 + 0 * sine)
-        if stated.cone_step[q] == k and convex and dot(axis, cone, 3) < least:
+        if stated.cone_step[q] == k and apart and convex and dot(axis, cone, 3) < least:
             return False
     return True
