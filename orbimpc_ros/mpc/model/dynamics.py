@@ -295,7 +295,9 @@ def _unbounded(decided: int, quadratic: Quadratic, rows: Array, values: Array) -
     q, values = (np.pad(each, ((0, 0), (0, 1))) for each in (quadratic.pulled, values))
     first = np.zeros_like(q)
     first[:decided, -1] = 1.0
-    inverse = np.pad(np.linalg.inv(hessian[decided:, decided:]), (decided, 0))
+    free = hessian[decided:, decided:]
+    invert = np.linalg.inv if np.linalg.cond(free) < WORST_CONDITION else np.linalg.pinv
+    inverse = np.pad(invert(free), (decided, 0))
     raised = inverse @ rows.T
     lift = raised @ np.linalg.inv(rows @ raised)
     inverse = inverse - lift @ raised.T

@@ -58,6 +58,10 @@ class TreeSearch:
         self._hessian, self._inverse, self._excess = regular(self._condensed.hessian)
         self._lengths = length_weights(problem)[1:].astype(float)
         self._arrival, self._stiff = np.zeros(problem.horizon), 0.0
+        if problem.terminal == 'constraint':
+            self._arrival = problem.maps.reach[-1, 1:].copy()
+            largest = np.diag(self._hessian).max() / np.square(self._arrival).max()
+            self._stiff = STIFF * float(largest)
         self._floor = float(problem.floor.fraction) if problem.floor.exists else 0.0
 
     def _prepare(self) -> None:
@@ -177,10 +181,7 @@ class PlanarSearch(TreeSearch):
         floor = problem.floor
         self._faces = floor.faces if floor.shape == 'polygon' else 0
         self._widest = problem.widest_turn if floor.exists else math.pi
-        if problem.terminal == 'constraint':
-            self._arrival = problem.maps.reach[-1, 1:].copy()
-            largest = np.diag(self._hessian).max() / np.square(self._arrival).max()
-            self._stiff = STIFF * float(largest)
+        if self._stiff:
             bent = self._hessian + self._stiff * np.outer(self._arrival, self._arrival)
             self._inverse = np.linalg.inv(bent)
         self.takes_guess = floor.exists  # relaxations over disks need none

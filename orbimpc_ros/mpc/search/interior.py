@@ -13,14 +13,13 @@ from __future__ import annotations
 import numpy as np
 
 from orbimpc_ros.mpc.kernels import compiled
-from orbimpc_ros.mpc.search.ring import INNER, KIND, LX, LY, NARROW, NB, NX, NY, OUTER, UX, UY
+from orbimpc_ros.mpc.search.ring import INNER, KIND, LX, LY, NARROW, NB, NX, NY, OUTER, TINY, UX, UY
 
 STEPS = 25
 CENTRED, BLOCKED = 0.1, 0.5  # shares of the gap to aim for, after a long step and a short one
 LONG = 0.9
 INSIDE = 0.99  # share of the way to a limit that a step may take
 THIN = 1e-9  # least size of a set with an interior
-SHORT = 1e-300  # avoids a division by zero
 HELD = 1e12  # factor on the curvature, to hold headings whose sets have no interior
 LIMITS = 4  # limits of a set: speed, both edges, chord
 
@@ -97,7 +96,7 @@ def set_system(posed, shapes, z, slope, limits, multipliers, aim, system, right)
         x, y, length = z[k, 0], z[k, 1], posed.lengths[k]
         right[2 * k], right[2 * k + 1] = -slope[k, 0], -slope[k, 1]
         if length > 0.0:
-            size = np.sqrt(x * x + y * y) + SHORT
+            size = np.sqrt(x * x + y * y) + TINY
             push, steep = _pull(length, size - shapes[k, INNER], aim)
             x, y, bent = x / size, y / size, push / size
             right[2 * k] -= push * x

@@ -292,7 +292,7 @@ def _descend(posed, ring, chain, stiff, speeds, turns, z):
 
 
 @compiled
-def land(posed, ring, pull, speeds, turns, z):
+def _land(posed, ring, pull, speeds, turns, z):
     """Descend to a local optimum that arrives; return False on failure; see :func:`descend`."""
     stiff, last, none = SOFT * posed.stiff, np.inf, np.zeros((0, 2))
     for _ in range(LANDINGS):
@@ -309,19 +309,22 @@ def land(posed, ring, pull, speeds, turns, z):
 
 
 @compiled
-def descend(posed, ring, speeds, turns, z):
+def descend(posed, ring, pull, speeds, turns, z):
     """Descend to a local optimum.
 
     Args:
         posed: the problem.
         ring: floor and turn rate, and the limit of the change of speed.
+        pull: initial multipliers of an arrival, shape (2,), updated.
         speeds: initial t, shape (N,), updated.
         turns: initial d, shape (N,), updated.
         z: headings, shape (N, 2), set.
 
     Returns:
-        False if no speeds were found that change within the limit.
+        False if no speeds were found that change within the limit, or none that arrive.
     """
+    if posed.stiff > 0.0:
+        return _land(posed, ring, pull, speeds, turns, z)
     chain, limited = np.zeros((len(z), 2)), ring.change < np.inf
     stiff = STIFF * largest(posed.hessian) if limited else 0.0
     for _ in range(ROUNDS):

@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import copy_to
-from orbimpc_ros.mpc.model.dynamics import knowns
+from orbimpc_ros.mpc.model.dynamics import knowns, minimisers
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, ProofTree
 from orbimpc_ros.mpc.search.best_first import (
@@ -42,7 +42,7 @@ from orbimpc_ros.mpc.search.best_first import (
     leave_open,
     take,
 )
-from orbimpc_ros.mpc.search.engine import SETTLED, STIFF, TreeSearch
+from orbimpc_ros.mpc.search.engine import SETTLED, TreeSearch
 from orbimpc_ros.mpc.search.relax import StageProblem, rise_of
 from orbimpc_ros.mpc.search.ring import HIGH, LOW, TURN, cut_near, take_part
 from orbimpc_ros.mpc.search.shells import (
@@ -214,10 +214,8 @@ class RoundFloor(TreeSearch):
     def __init__(self, problem: Problem, tolerance: float, *, coasting: bool = False) -> None:
         super().__init__(problem, SETTLED * tolerance, _search)
         self._lifts = problem.dimension == 3 and problem.weighs_rotations
-        if problem.terminal == 'constraint':
-            self._arrival = problem.maps.reach[-1, 1:].copy()
-            largest = np.diag(self._hessian).max() / np.square(self._arrival).max()
-            self._stiff = STIFF * float(largest)
+        if self._lifts:
+            _, self._others = minimisers(problem, self._condensed)
         self._prepare()
 
     @cached_property
@@ -280,23 +278,20 @@ class RoundFloor(TreeSearch):
         slope -= tree.shor[:, :, None] * tree.point
         if self._stiff:
             slope += self._arrival[:, None] * tree.pull
-        others = np.broadcast_to(self._least_of_others(request)[0], every)
-        return tree._replace(point=np.concatenate([tree.point, others], axis=2), share=slope)
+        least = np.broadcast_to(self._others.minimiser[:, :-1] @ self._aside(request), every)
+        return tree._replace(point=np.concatenate([tree.point, least], axis=2), share=slope)
 
-    def _least_of_others(self, request: Request) -> tuple[Array, float]:
-        """Return the coordinates of R e2 and R e3 of least cost, shape (N, 6), and that cost."""
-        others, data = self._condensed.others, knowns(request.state, request.goals)[:, 3:]
-        pulled = others.pulled @ data
-        least = -np.linalg.lstsq(others.hessian, pulled)[0]
-        return least, 0.5 * float(np.vdot(pulled, least)) + float(
-            np.vdot(data, others.squared @ data)
-        )
+    def _aside(self, request: Request) -> Array:
+        """Return what is known of R e2 and R e3, shape (N + 4, 6)."""
+        return knowns(request.state, request.goals)[:, 3:]
 
     def _posed(self, request: Request, left: Array) -> StageProblem:
         posed = super()._posed(request, left)
         if not self._lifts:
             return posed
-        return posed._replace(constant=posed.constant + self._least_of_others(request)[1])
+        data = self._aside(request)
+        least = float(np.vdot(data, self._others.least[:-1, :-1] @ data))
+        return posed._replace(constant=posed.constant + least)
 
     def _by_branches(self, request: Request, result: Found) -> Found:
         """Return the better of a result and that of the general search, with the higher bound."""

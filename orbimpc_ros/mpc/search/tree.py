@@ -36,7 +36,7 @@ from orbimpc_ros.mpc.search.best_first import (
     leave_open,
     take,
 )
-from orbimpc_ros.mpc.search.local import descend, is_paced, land, round_off, set_headings
+from orbimpc_ros.mpc.search.local import descend, is_paced, round_off, set_headings
 from orbimpc_ros.mpc.search.relax import (
     GOING,
     PRUNED,
@@ -473,12 +473,8 @@ def is_promising(posed, ring, tree, z, sector, share, room):
 def improve(posed, ring, tree, room):
     """Descend from the speeds and turns of a promising trajectory, then clip it to the approach."""
     z, sector, end = room.trial, tree.sectors[0].copy(), len(posed.q) - 1
-    if posed.stiff > 0.0:
-        legal = land(
-            posed, ring, tree.pull[tree.counts[FROM], 0].copy(), room.speeds, room.turns, z
-        )
-    else:
-        legal = descend(posed, ring, room.speeds, room.turns, z)
+    pull = tree.pull[tree.counts[FROM], 0].copy()
+    legal = descend(posed, ring, pull, room.speeds, room.turns, z)
     if ring.within < HALF:
         _, way = _way(ring, room.turns)
         sector[end, LOW] = max(sector[end, LOW], way - ring.within)
@@ -529,7 +525,7 @@ def _choose(posed, ring, tree, node, room):
         settle(posed, z)
         take_better(posed, tree, z)
     elif ring.fraction > 0.0:
-        share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # powers of two
+        share = 0.5 if counts[NODES] & (counts[NODES] - 1) == 0 else 0.0  # at powers of two
         counts[FROM] = node
         counts[PROMISES] = is_promising(posed, ring, tree, z, sector, share, room)
     return choice, cut, parts
@@ -537,9 +533,10 @@ def _choose(posed, ring, tree, node, room):
 
 @compiled
 def _cutoff(posed, tree, tolerance):
-    """Return the bound from which on nodes are pruned; with an arrival those without any, too."""
-    cutoff = cutoff_of(tree.numbers[VALUE], posed.constant, tolerance)
-    return min(cutoff, most_of(posed)) if posed.stiff > 0.0 else cutoff
+    """Return the bound from which on nodes are pruned; without an incumbent, that of no arrival."""
+    if posed.stiff > 0.0 and tree.numbers[VALUE] == np.inf:
+        return most_of(posed)
+    return cutoff_of(tree.numbers[VALUE], posed.constant, tolerance)
 
 
 @compiled
