@@ -35,7 +35,7 @@ LOOSE = {*OPEN, 'acceleration', 'space, acceleration'}  # families whose gaps ma
 POLLS = 400  # of the clock, until a search of an open family is out of time
 # Families for which the fallbacks without a search may find no plan.
 ARRIVING = {'turn rate, arrival', 'polygon, arrival', 'circle, turn rate, arrival'}
-SOUGHT = {'approach', 'space, approach', *ARRIVING}
+SOUGHT = {'approach', 'space, approach', 'axes, boxes', *ARRIVING}
 
 
 class Solved(NamedTuple):
