@@ -40,7 +40,8 @@ def translation_rollout(problem: Problem, state: State, headings: Array) -> tupl
 
     Without inertia the velocity is z R_k e1 + w, a function of the rotation alone.
     """
-    maps, driving = problem.maps, np.vstack([headings, state.velocity, state.disturbance])
+    maps = problem.maps
+    driving = np.concatenate([headings, state.velocity[None], state.disturbance[None]])
     return maps.places @ driving + state.position, maps.speeds @ driving
 
 

@@ -153,8 +153,9 @@ class TreeSearch:
     def _proof(self, tree: Tree, made: int) -> ProofTree:
         """Return the first nodes of the tree as a proof."""
         nodes, at = tree.nodes[:made].copy(), tree.at[:made].copy()
-        unsplit = nodes[:, CHILD] >= made
-        nodes[unsplit], at[unsplit] = 0, 0.0
+        if made < tree.counts[MADE]:
+            unsplit = nodes[:, CHILD] >= made
+            nodes[unsplit], at[unsplit] = 0, 0.0
         leaves = np.flatnonzero(nodes[:, ROW] == 0)  # -1 for splits and for empty parts
         nodes[leaves, ROW] = np.arange(len(leaves))
         kept: Array = np.zeros((len(leaves), len(tree.best)))

@@ -292,7 +292,8 @@ class Regions:
             Lengths, shape (J, N) [m]; unit vectors, shape (J, N, n); and the extents of the bodies
             along these, shape (J, N) [m].
         """
-        if headings is not self._seen[0]:
+        content = headings.tobytes()
+        if content != self._seen[0]:
             places = (self._reach @ headings[1:])[self._points] + self._apart
             far = np.concatenate([places.max(axis=2), -places.min(axis=2)], axis=-1)
             extents = self._stated.bodies.extents[:, :-1]
@@ -302,7 +303,7 @@ class Regions:
             if len(self._balls):
                 normals[self._balls], away = separation(places[self._balls])
                 into[self._balls], out[self._balls] = self._radii - away, self._radii
-            self._seen = headings, (into + self._margins, normals, out)
+            self._seen = content, (into + self._margins, normals, out)
         return self._seen[1]
 
     def is_round(self, choice: int) -> bool:

@@ -107,14 +107,11 @@ class Units:
     def posed(self, tree: ProofTree) -> ProofTree:
         """Return a tree in these units converted to the units of the posed problem."""
         cost, force = self.cost, self.cost / self.length
-        return tree._replace(
-            shor=tree.shor * cost,
-            press=tree.press * force,
-            pull=tree.pull * (force * np.array([1.0, self.time])[: tree.pull.shape[1], None]),
-            slide=tree.slide * force,
-            tether=tree.tether * cost,
-            share=tree.share * cost,
-        )
+        paces = [[force], [force * self.time]][: tree.pull.shape[1]]
+        units = {'press': force, 'pull': paces, 'slide': force, 'tether': cost, 'share': cost}
+        stated = {name: getattr(tree, name) for name in units}
+        used = {name: each * units[name] for name, each in stated.items() if each.size}
+        return tree._replace(shor=tree.shor * cost, **used)
 
 
 class Solver:
