@@ -31,7 +31,7 @@ from orbimpc_ros.mpc.search.interior import (
     set_inside,
     set_system,
 )
-from orbimpc_ros.mpc.search.ring import FREE, INNER, POINT, RIM, prox, support
+from orbimpc_ros.mpc.search.ring import FREE, INNER, OUTLINE, POINT, RIM, prox, support
 
 SOLVED, PRUNED, STALLED, GOING = range(4)  # outcomes of a relaxation
 PATIENCE = 2  # rounds between checks of whether the bound still rises
@@ -75,6 +75,8 @@ class Room(NamedTuple):
 
     Attributes:
         slope: H z + q, shape (N, 2).
+        shapes: outlines of a node's sectors, shape (N, 12).
+        parts: those of a child's, shape (N, 12).
         changed: whether a child's outline differs from its parent's, shape (N,).
         faces: of each heading, the face that contains it, shape (N,).
         along: directions of these faces, shape (N, 2).
@@ -89,6 +91,8 @@ class Room(NamedTuple):
     """
 
     slope: Array
+    shapes: Array
+    parts: Array
     changed: np.ndarray
     faces: np.ndarray
     along: Array
@@ -105,8 +109,9 @@ class Room(NamedTuple):
 @lru_cache(maxsize=SPACES)
 def room_for(thread: int, steps: int) -> Room:
     """Return working memory for N = ``steps`` headings, which is the same for all of a thread."""
-    n, size = steps, 2 * steps
-    shapes = (n, 2), n, n, (n, 2), (n, 2), (n, 2), size, (size, 2), (size, size), size, n, n
+    n, size, pair, outlines = steps, 2 * steps, (steps, 2), (steps, OUTLINE)
+    headings = pair, outlines, outlines, n, n, pair, pair, pair
+    shapes = *headings, size, (size, 2), (size, size), size, n, n
     made = Room._make(np.zeros(each) for each in shapes)
     faces, indices = np.zeros(n, np.int64), np.zeros(size, np.int64)
     return made._replace(changed=np.zeros(n, np.bool_), faces=faces, steps=indices)

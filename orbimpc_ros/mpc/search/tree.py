@@ -61,7 +61,6 @@ from orbimpc_ros.mpc.search.ring import (
     HIGH,
     LOW,
     MARGIN,
-    OUTLINE,
     SECTOR,
     SLOW,
     TURN,
@@ -90,11 +89,10 @@ ACCURATE = 0.02  # gap of a node's relaxation, as a share of the tolerance
 class Tree(NamedTuple):
     """A search: its M nodes, and the incumbent.
 
-    With Shor multipliers, K = 4, C = 1 and S = 0. Without them, K = C = 0 and S = N.
+    With Shor multipliers, K = 4 and C = 1; without them, both are 0.
 
     Attributes:
         sectors: low, high, slow, fast for each step, shape (M, N, 4).
-        shapes: outlines of the sectors, shape (M, S, 12).
         z: point where a node's relaxation begins or has ended, shape (M, N, n).
         point: tangent point of a node's bound, shape (M, N, n).
         held: multipliers by kind, shape (M, K, N).
@@ -112,7 +110,6 @@ class Tree(NamedTuple):
     """
 
     sectors: Array
-    shapes: Array
     z: Array
     point: Array
     held: Array
@@ -141,9 +138,8 @@ def tree_for(thread: int, nodes: int, steps: int, n: int, kinds: int) -> Tree:
         n: dimension.
         kinds: K.
     """
-    shor, shaped = min(1, kinds), 0 if kinds else steps
-    wide = (steps, SECTOR), (shaped, OUTLINE), (steps, n), (steps, n), (kinds, steps)
-    shapes = *wide, (shor, steps), (1, n), (3,), (5,), (), (), ()
+    wide = (steps, SECTOR), (steps, n), (steps, n), (kinds, steps), (min(1, kinds), steps)
+    shapes = *wide, (1, n), (3,), (5,), (), (), ()
     arrays = [_kept(thread, i, nodes, shape) for i, shape in enumerate(shapes)]
     return Tree._make([*arrays, np.zeros((steps, n)), np.zeros(8, np.int64), np.zeros(3)])
 
@@ -176,7 +172,7 @@ def branch(tree, node, kind, choice, cut, parts):
     nodes[node, KIND], nodes[node, CHOICE], nodes[node, ROW] = kind, choice, -1
     nodes[node, CHILD], nodes[node, CHILDREN], tree.at[node] = first, parts, cut
     for i in range(first, first + parts):
-        for data in tree[:7]:
+        for data in tree[:6]:
             for k in range(data.shape[1]):
                 for c in range(data.shape[2]):
                     data[i, k, c] = data[node, k, c]
@@ -409,10 +405,11 @@ def _split(posed, ring, tree, node, choice, cut, parts, cutoff, room):
     kind = SPEED if choice >= len(posed.q) else ARCS if parts > 2 else CUT
     first = branch(tree, node, kind, choice, cut, parts)
     for i in range(first, first + parts):
-        sector, shapes = tree.sectors[i], tree.shapes[i]
+        sector, shapes = tree.sectors[i], room.parts
         if not _set_part(ring, sector, choice, cut, parts, i - first):
             tree.nodes[i, ROW], tree.progress[i, KEY] = -1, np.inf  # it is empty
             continue
+        copy_to(shapes, room.shapes)
         for k in range(len(sector)):
             room.changed[k] = False
             for e in range(SECTOR):
@@ -501,8 +498,6 @@ def _begin(posed, ring, tree, guess, room):
     copy_to(tree.point[0], start)
     if not set_reachable(ring, tree.sectors[0]):
         return False
-    for k in range(len(start)):
-        outline(ring, tree.sectors[0, k], tree.shapes[0, k])
     if ring.fraction == 0.0:  # over disks the relaxation finds the optimum itself
         return True
     for k in range(len(ahead)):
@@ -551,7 +546,7 @@ def _relax_arriving(posed, tree, node, limits, room, work):
         free, key = pulled(posed, pull, stiff), progress[KEY]
         shift = free.constant - posed.constant
         progress[KEY] = before = key - shift
-        relaxed = z, point, progress, tree.shapes[node]
+        relaxed = z, point, progress, room.shapes
         status, work = relax(free, relaxed, (limits[0] - shift, limits[1]), room, work)
         rises, missed = progress[KEY] > before, misses(posed, z)
         progress[KEY] = progress[KEY] + shift if rises else key
@@ -572,13 +567,15 @@ def _solve_node(posed, ring, tree, node, tolerance, room, work):
     """Relax a node, round its point, and split it; return the remaining multiplications."""
     counts = tree.counts
     first, windings = _aim(ring, tree.sectors[node])
+    for k in range(len(posed.q)):
+        outline(ring, tree.sectors[node, k], room.shapes[k])
     choice, cut, parts, status = len(posed.q) - 1, ring.last + TURN * first + np.pi, 2, SOLVED
     if windings == 1:
         limits = _cutoff(posed, tree, tolerance), ACCURATE * tolerance
         if posed.stiff > 0.0:
             status, work = _relax_arriving(posed, tree, node, limits, room, work)
         else:
-            relaxed = tree.z[node], tree.point[node], tree.progress[node], tree.shapes[node]
+            relaxed = tree.z[node], tree.point[node], tree.progress[node], room.shapes
             status, work = relax(posed, relaxed, limits, room, work)
         choice = -1
         if status in (SOLVED, STALLED):
