@@ -104,12 +104,7 @@ class Fake:
 
 def compete(solvers, count=4, every=1):
     samples = interleaved_run(
-        solvers,
-        [(None, None)] * count,
-        warm_up=0,
-        budget=60.0,
-        show=lambda done: None,
-        every=every,
+        solvers, [(None, None)] * count, warm_up=0, budget=60.0, show=lambda done: None, every=every
     )
     return {row.contender: row for row in rows_of('p', samples, {})}
 

@@ -25,7 +25,9 @@ from orbimpc_ros.mpc.errors import Infeasible
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.problem.traffic import traffic_of
 from orbimpc_ros.mpc.proof.splits import Cut, Region
-from orbimpc_ros.mpc.proof.tree import CUT, ProofTree
+from orbimpc_ros.mpc.proof.stated import SPEEDS
+from orbimpc_ros.mpc.proof.tree import CUT, ProofTree, one
+from orbimpc_ros.mpc.proof.verify import Verifier
 from orbimpc_ros.mpc.search.engine import TreeSearch
 from orbimpc_ros.mpc.solve.dives import Dives
 from orbimpc_ros.mpc.solve.place_program import PlaceProgram
@@ -75,6 +77,9 @@ class BranchAndBound:
         # A single relaxation needs no warm start.
         self.takes_guess = problem.floor.exists or bool(problem.obstacles) or among
         self._regions = Regions(problem)
+        first, known = problem.rotation_order == 1, problem.floor.shape in SPEEDS
+        touches = problem.turns_are_angles and first and known
+        self._verifier = Verifier(problem) if touches else None
         spread = problem.weights.position or problem.weights.attitude or problem.obstacles or among
         self._in_plane = self._plane is not None and not spread
         if not self._in_plane:  # there, with a deadline no program is solved
@@ -86,12 +91,25 @@ class BranchAndBound:
         Raises:
             Infeasible: no trajectory satisfies the constraints: every leaf is infeasible.
         """
-        path = self._path(request)
+        path = self._touched(request, self._path(request))
         if path.x is not None and self._in_plane and request.hurried:
             return path
         self._latest = self.begun(request)  # until the next: to free a large tree takes long
         among = traffic_of(self.problem, request.state) is not None or self._lifts
-        return self._latest.run(path, self._alone, among=among)
+        return self._touched(request, self._latest.run(path, self._alone, among=among))
+
+    def _touched(self, request: Request, found: Found) -> Found:
+        """Return a result with the bound of the cost's tangent at its path, if that is higher."""
+        if found.x is None or self._verifier is None or found.gap <= self.tolerance:
+            return found
+        state, goals, condensed = request.state, request.goals, self._regions.condensed
+        axes = found.x[:, : goals.shape[1]]
+        slope = condensed.affine(state, goals)[0] + condensed.hessian @ axes
+        point = found.x if self.problem.weighs_rotations else axes
+        tree = one(point, np.zeros(len(goals)), share=slope)
+        bound = self._verifier.bound(state, goals, tree)
+        higher = bound > found.lower_bound
+        return replace(found, lower_bound=bound, proofs=(tree,)) if higher else found
 
     def _path(self, request: Request) -> Found:
         """Return the best path without bodies, or the first found."""
