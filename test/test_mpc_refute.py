@@ -178,12 +178,14 @@ def test_what_nothing_satisfies_is_refuted_and_has_no_plan(kind):
 
 @pytest.mark.parametrize('seed', seeds(30))
 def test_what_somebody_has_flown_is_not_refuted(seed):
-    """Random flights at the edge of their limits, with the goals that they reach."""
+    """Random flights at the edge of their limits, and one along a face, too slow for any plane."""
     flown = [*adversary.plans(seed, 40)]
     assert len(flown) > 10
     for drawn in flown:
         with pytest.raises(Unproved, match='no refutation'):
             refutation_of(drawn.case, 1, polled(100))
+    slow = Problem(3, horizon=2, terminal='constraint', max_rate=1, floor=Floor('polygon', 6, 0.4))
+    Solver(slow).solve(State.at(np.zeros(3), np.eye(3)), np.tile([1.5, 0.0, 0.0], (2, 1)))
 
 
 def among_boxes(seed):

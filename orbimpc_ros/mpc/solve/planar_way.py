@@ -39,7 +39,8 @@ class PlanarWay:
     @staticmethod
     def leads(problem: Problem) -> bool:
         """Return True if planar paths satisfy all constraints of a problem except its obstacles."""
-        plain = not (problem.approach.exists or problem.has_cones or problem.max_acceleration)
+        arrives, aimed = problem.terminal == 'constraint', problem.approach.exists
+        plain = not (arrives or aimed or problem.has_cones or problem.max_acceleration)
         fits = problem.dimension == 3 and problem.turns_are_angles and plain
         return fits and PlanarSearch.solves(_planar(problem))
 
