@@ -37,7 +37,7 @@ def drawn_problem(rng):
         forward=float(rng.choice([1e-6, 0.3, 1.0, 1e3])),
         weights=extreme if rng.random() < 0.3 else weights(rng),
         terminal=str(rng.choice(['penalty', 'penalty', 'constraint'])),
-        floor=floor(str(rng.choice(shapes)) if n == 2 else 'none', 0.5),
+        floor=floor(str(rng.choice(shapes)), 0.5, 4 if n == 2 else 6),
         max_rate=float(rng.choice([0.0, 0.0, 0.1, 1.0])) / step,
         obstacles=tuple(box(rng, n, rng.normal(size=n)) for _ in range(rng.choice([0, 0, 0, 1]))),
     )

@@ -268,16 +268,16 @@ def test_a_long_arrival_is_nearly_as_good_where_its_descent_is_interrupted(goal)
 @pytest.mark.parametrize('n', [2, 3])
 def test_the_last_step_to_an_arrival_is_the_states_and_with_exact_steps_not(n):
     """With the explicit Euler model R_1 does not move s_1: only one goal can be reached."""
-    weight = Weights(input=0.0) if n == 3 else Weights()
-    shape = Floor('circle', fraction=0.5)
-    problem = Problem(n, horizon=1, terminal='constraint', floor=shape, weights=weight)
-    start = State.at(np.zeros(n), np.eye(n), disturbance=0.2 * np.eye(n)[1])
+    w = Weights(0.0, 0.0, 0.0, 0.0, 0.5) if n == 3 else Weights()  # of R_N alone
+    problem = Problem(n, horizon=1, terminal='constraint', floor=floor('circle', 0.5), weights=w)
+    start = State.at(np.zeros(n), np.eye(n), disturbance=0.2 * np.eye(n)[1], wanted=np.eye(n))
     there = np.eye(n)[:1] + 0.2 * np.eye(n)[1]
     assert Solver(problem).solve(start, there).status == 'optimal'
     with pytest.raises(Infeasible):
         Solver(problem).solve(start, 0.99 * there)
     exact = replace(problem, discretisation='exact')
     assert Solver(exact).solve(start, 0.9 * there).status == 'optimal'
+    assert Solver(replace(problem, horizon=n)).solve(start, np.tile(n * there, (n, 1)))
 
 
 # --- fallbacks for a plan

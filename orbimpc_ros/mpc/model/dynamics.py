@@ -279,11 +279,11 @@ def minimisers(problem: Problem, condensed: Condensed) -> tuple[Unconstrained, U
     """
     (rows, values), decided = condensed.arrival, problem.rotation_order - 1
     met = len(rows) if problem.terminal == 'constraint' else 0
-    thrust = _unbounded(decided, condensed.axes, rows[:met], values[:met])
-    return thrust, _unbounded(decided, condensed.others, rows[:0], values[:0])
+    thrust = unbounded(decided, condensed.axes, rows[:met], values[:met])
+    return thrust, unbounded(decided, condensed.others, rows[:0], values[:0])
 
 
-def _unbounded(decided: int, quadratic: Quadratic, rows: Array, values: Array) -> Unconstrained:
+def unbounded(decided: int, quadratic: Quadratic, rows: Array, values: Array) -> Unconstrained:
     """Return the maps for a cost by elimination.
 
     Args:

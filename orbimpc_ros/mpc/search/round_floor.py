@@ -23,7 +23,7 @@ from orbimpc_ros.mpc.arrays import Array
 from orbimpc_ros.mpc.geometry.rotations import carried, coordinates
 from orbimpc_ros.mpc.kernels import compiled, entry_point
 from orbimpc_ros.mpc.kernels.linear import copy_to
-from orbimpc_ros.mpc.model.dynamics import knowns, minimisers
+from orbimpc_ros.mpc.model.dynamics import knowns, unbounded
 from orbimpc_ros.mpc.problem import Problem
 from orbimpc_ros.mpc.proof.tree import ARCS, CUT, ProofTree
 from orbimpc_ros.mpc.search.best_first import (
@@ -215,7 +215,8 @@ class RoundFloor(TreeSearch):
         super().__init__(problem, SETTLED * tolerance, _search)
         self._lifts = problem.dimension == 3 and problem.weighs_rotations
         if self._lifts:
-            _, self._others = minimisers(problem, self._condensed)
+            nowhere = (each[:0] for each in self._condensed.arrival)
+            self._others = unbounded(0, self._condensed.others, *nowhere)
         self._prepare()
 
     @cached_property
