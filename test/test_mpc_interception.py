@@ -315,8 +315,8 @@ def test_a_wing_in_space_turns_round_and_catches_a_goal_that_moves(bearing):
         return 70.0 * np.array(bearing) + np.outer(times, drift)
 
     assert catches(controller, RADIUS, plant, vehicle, lambda: (None, polled(200), ahead), ahead)
-    far = Solver(catching(wing, RADIUS, 8)), np.tile([900.0, 60.0, -30.0], (8, 1))
-    straight = far[0].solve(State.at(np.zeros(3), np.eye(3)), far[1], None, polled(200))
+    start, far = State.at(np.zeros(3), np.eye(3)), np.tile([900.0, 60.0, -30.0], (8, 1))
+    straight = Solver(catching(wing, RADIUS, 8)).solve(start, far, None, polled(200))
     assert straight.status == 'optimal'  # by the tangent alone
 
 

@@ -5,8 +5,8 @@ import pytest
 from harness import ROOT
 
 LINES = {
-    'orbimpc_ros': 28_523,
-    'orbimpc_ros/mpc': 14_971,
+    'orbimpc_ros': 28_522,
+    'orbimpc_ros/mpc': 14_970,
     'orbimpc_ros/loop': 3_158,
     'orbimpc_ros/ros': 4_043,
     'orbimpc_ros/sim': 2_180,

@@ -109,8 +109,7 @@ class Units:
         cost, force = self.cost, self.cost / self.length
         paces = [[force], [force * self.time]][: tree.pull.shape[1]]
         units = {'press': force, 'pull': paces, 'slide': force, 'tether': cost, 'share': cost}
-        stated = {name: getattr(tree, name) for name in units}
-        used = {name: each * units[name] for name, each in stated.items() if each.size}
+        used = {n: getattr(tree, n) * unit for n, unit in units.items() if getattr(tree, n).size}
         return tree._replace(shor=tree.shor * cost, **used)
 
 
